@@ -1,0 +1,45 @@
+# Everything a fresh machine with Rust, a C compiler and Python 3 (with pip) needs.
+SHELL := bash
+.SHELLFLAGS := -eu -o pipefail -c
+NATIVE := .native
+PYTHON ?= python3
+
+.PHONY: help demo test bench native lint doc
+
+help:
+	@echo "make demo   replay the embedded capture, serve it and follow it on the terminal"
+	@echo "make test   run every test"
+	@echo "make bench  print latency and stage costs"
+	@echo "make lint   rustfmt, clippy and documentation, warnings denied"
+
+# Wheels are zip files: the pinned one is fetched for a fixed interpreter tag, whatever Python
+# runs here, so that its hash is the same everywhere.
+$(NATIVE)/stamp: .native-requirements.txt
+	rm -rf $(NATIVE)/wheels $(NATIVE)/lib
+	mkdir -p $(NATIVE)/wheels $(NATIVE)/lib
+	$(PYTHON) -m pip --disable-pip-version-check download --quiet --no-deps \
+		--only-binary=:all: --require-hashes --implementation cp --python-version 3.11 \
+		--abi cp311 --platform manylinux_2_28_x86_64 --platform manylinux_2_27_x86_64 \
+		--dest $(NATIVE)/wheels -r .native-requirements.txt
+	$(PYTHON) .ci/unpack_native.py $(NATIVE)/wheels $(NATIVE)/lib
+	rm -rf $(NATIVE)/wheels
+	touch $@
+
+native: $(NATIVE)/stamp
+
+demo: native
+	cargo run --release --locked -p posed -- demo
+
+test: native
+	cargo test --workspace --locked
+
+bench: native
+	cargo bench --locked -p posed-tests
+
+lint: native
+	cargo fmt --all --check
+	cargo clippy --workspace --all-targets --locked -- -D warnings
+	RUSTDOCFLAGS="-D warnings" cargo doc --workspace --no-deps --locked
+
+doc: native
+	cargo doc --workspace --no-deps --locked

@@ -1,0 +1,6 @@
+//! The body: skeleton, kinematics, the physics character and the physics optimiser. Pure maths
+//! over an immutable model and a cloneable state.
+
+pub mod skeleton;
+
+pub use skeleton::{BodyPose, JOINTS, Joint, Joints, Skeleton};

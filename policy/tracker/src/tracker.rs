@@ -1,0 +1,131 @@
+//! The interface of every tracker: what the devices say at a time, in; a body pose, out.
+
+use posed_body::{BodyPose, Skeleton};
+use posed_signal::{HostTime, Lookup, Pose, Role};
+
+/// Which tracker made a pose.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
+#[repr(u8)]
+pub enum TrackerKind {
+    /// Inverse kinematics, without any learned model.
+    #[default]
+    Ik,
+    /// HMD-NeMo (Aliakbarian et al. 2023).
+    HmdNemo,
+    /// PIP (Yi et al. 2022).
+    Pip,
+    /// QuestSim (Winkler et al. 2022).
+    QuestSim,
+}
+
+impl TrackerKind {
+    /// Every tracker.
+    pub const ALL: [Self; 4] = [Self::Ik, Self::HmdNemo, Self::Pip, Self::QuestSim];
+
+    /// The name on the command line, in configuration and in the API.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Ik => "ik",
+            Self::HmdNemo => "hmd_nemo",
+            Self::Pip => "pip",
+            Self::QuestSim => "questsim",
+        }
+    }
+
+    /// The inverse of [`TrackerKind::name`].
+    #[must_use]
+    pub fn from_name(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|kind| kind.name() == name)
+    }
+}
+
+/// How far a pose can be trusted, worst part first.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Default)]
+#[repr(u8)]
+pub enum Quality {
+    /// No headset: the last pose, held.
+    #[default]
+    Held,
+    /// The headset's pose is old or carried on by its IMU; the body follows it.
+    Degraded,
+    /// The headset is tracked, a hand is not.
+    Partial,
+    /// Headset and both hands are tracked.
+    Full,
+}
+
+impl Quality {
+    /// The word used in JSON output.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Held => "held",
+            Self::Degraded => "degraded",
+            Self::Partial => "partial",
+            Self::Full => "full",
+        }
+    }
+}
+
+/// The wearer.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Wearer {
+    /// Stature, metres.
+    pub height: f32,
+    /// Bone offsets.
+    pub skeleton: Skeleton,
+}
+
+impl Wearer {
+    /// Average proportions at `height` metres.
+    #[must_use]
+    pub fn of_height(height: f32) -> Self {
+        Self { height, skeleton: Skeleton::of_height(height) }
+    }
+}
+
+/// What a tracker sees at one tick. Device poses are those of the body parts themselves: the
+/// caller has taken the offset from headset to head joint and from controller to wrist out.
+#[derive(Debug, Clone, Copy)]
+pub struct Input<'a> {
+    /// The time that the body pose shall be valid for.
+    pub target: HostTime,
+    /// The pose of each role's body part at `target`, and how it was made; indexed by
+    /// [`Role`] as a number.
+    pub parts: &'a [Lookup<Pose>; Role::COUNT],
+    /// The wearer.
+    pub wearer: &'a Wearer,
+}
+
+impl Input<'_> {
+    /// The pose of a role's body part at the target time.
+    #[must_use]
+    pub fn part(&self, role: Role) -> Lookup<Pose> {
+        self.parts[role as usize]
+    }
+}
+
+/// A tracker's answer.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Tracked {
+    /// The body pose at the target time; sound even when nothing is tracked.
+    pub pose: BodyPose,
+    /// How far to trust it.
+    pub quality: Quality,
+    /// The tracker that made it: a fallback's own name if one stood in.
+    pub kind: TrackerKind,
+}
+
+/// A tracker: a state machine over ticks. It cannot fail; it degrades and says so. `track`
+/// neither allocates, waits nor logs.
+pub trait Tracker: Send {
+    /// Which one this is.
+    fn kind(&self) -> TrackerKind;
+
+    /// Forgets the past: the next tick starts from what the devices then say.
+    fn reset(&mut self);
+
+    /// The body pose at `input.target`. Target times never decrease between resets.
+    fn track(&mut self, input: &Input<'_>) -> Tracked;
+}

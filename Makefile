@@ -30,8 +30,9 @@ native: $(NATIVE)/stamp
 demo: native
 	cargo run --release --locked -p posed -- demo
 
+# Skipped tests print a line that says so; --nocapture lets it through.
 test: native
-	cargo test --workspace --locked
+	cargo test --workspace --locked -- --nocapture
 
 bench: native
 	cargo bench --locked -p posed-tests

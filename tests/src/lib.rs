@@ -1,1 +1,1 @@
-//! Stub.
+//! Holds nothing: the tests are one binary, `src/main.rs`.

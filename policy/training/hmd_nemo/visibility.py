@@ -11,9 +11,9 @@ class Frustum:
 
     up: float = 0.08
     forward: float = 0.09
-    pitch_down: float = 0.42
-    half_width: float = 0.87
-    half_height: float = 0.73
+    pitch_down: float = 0.45
+    half_width: float = 1.00
+    half_height: float = 0.95
     near: float = 0.10
     far: float = 1.10
 

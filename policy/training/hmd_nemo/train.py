@@ -1,0 +1,206 @@
+"""Trains HMD-NeMo, or the AvatarPoser baseline, on the shared motion capture.
+
+    python -m hmd_nemo.train --mocap DIR --out RUN --model small
+
+The learning rate warms up, stays, and decays only over the last `--decay` steps before
+`--steps`: a run whose end is not known yet is stopped at any time and finished later with
+`--decay`. Started again with the same `--out` it goes on where it stopped.
+"""
+
+import argparse
+import csv
+import json
+import signal
+import time
+from dataclasses import asdict
+from pathlib import Path
+
+import torch
+
+from posed_mocap import store as stores
+
+from . import checkpoint
+from .evaluate import table
+from .lanes import Lanes
+from .losses import losses, total
+from .model import State
+from .sample import Sample, build
+
+VALIDATION_SETS = ["bandai", "cmu_amc", "cmu_amc2", "cmu_bvh", "cmu_cc"]
+AVERAGE = 0.998
+
+
+def arguments():
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--mocap", help="folder of the shared .npz sets")
+    parser.add_argument("--store", help="one training file made by hmd_nemo.pack, instead")
+    parser.add_argument("--sets", default=",".join(stores.TRAIN_SETS))
+    parser.add_argument("--cache", default=stores.default_cache())
+    parser.add_argument("--out", required=True, help="folder of checkpoints and logs")
+    parser.add_argument("--family", default="hmd_nemo")
+    parser.add_argument("--model", default="small")
+    parser.add_argument("--fixed-mask", action="store_true", help="ablation without TAMT")
+    parser.add_argument("--batch", type=int, default=64)
+    parser.add_argument("--frames", type=int, default=40)
+    parser.add_argument("--rate", type=float, default=1e-3)
+    parser.add_argument("--warmup", type=int, default=200)
+    parser.add_argument("--steps", type=int, default=1_000_000)
+    parser.add_argument("--decay", type=int, default=0)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--threads", type=int, default=2)
+    parser.add_argument("--device", default="auto")
+    parser.add_argument("--validate-every", type=int, default=400)
+    parser.add_argument("--save-seconds", type=float, default=180)
+    return parser.parse_args()
+
+
+def learning_rate(args, step):
+    """Warm-up, plateau, and a linear decay to zero over the last `decay` steps."""
+    warm = min(1.0, (step + 1) / args.warmup)
+    left = (args.steps - step) / args.decay if args.decay else 1.0
+    return args.rate * warm * max(0.0, min(1.0, left))
+
+
+def to_device(sample, device):
+    return Sample(**{name: value.to(device) for name, value in vars(sample).items()})
+
+
+class Run:
+    """Everything a training step needs, and what a checkpoint keeps."""
+
+    def __init__(self, args):
+        self.args = args
+        torch.manual_seed(args.seed)
+        chosen = "cuda" if torch.cuda.is_available() else "cpu"
+        self.device = torch.device(chosen if args.device == "auto" else args.device)
+        if args.store:
+            store = stores.load(args.store)
+        else:
+            store = stores.cached(args.mocap, args.cache, args.sets.split(","), ["train"])
+        self.lanes = Lanes(store, args.batch, args.frames, args.seed)
+        model = checkpoint.build_model(args.family, args.model)
+        if args.fixed_mask:
+            config = {**asdict(model.config), "tamt": False}
+            model = checkpoint.build_model(args.family, config)
+        self.model = model.to(self.device).train()
+        self.average = {k: v.detach().clone() for k, v in self.model.state_dict().items()}
+        self.optimizer = torch.optim.AdamW(
+            self.model.parameters(), lr=args.rate, betas=(0.9, 0.99), weight_decay=0.01
+        )
+        self.state = self.model.initial_state(args.batch)
+        self.step, self.seconds, self.best = 0, 0.0, float("inf")
+
+    def state_dict(self):
+        return {
+            "family": self.args.family, "config": asdict(self.model.config),
+            "model": self.model.state_dict(), "average": self.average,
+            "optimizer": self.optimizer.state_dict(), "lanes": self.lanes.state_dict(),
+            "state": list(self.state.tensors()), "step": self.step, "seconds": self.seconds,
+            "best": self.best, "random": torch.get_rng_state(), "arguments": {
+                k: str(v) for k, v in vars(self.args).items()
+            },
+        }
+
+    def load_state_dict(self, state):
+        self.model.load_state_dict(state["model"])
+        self.average = {k: v.to(self.device) for k, v in state["average"].items()}
+        self.step, self.seconds, self.best = state["step"], state["seconds"], state["best"]
+        if "optimizer" in state:
+            self.optimizer.load_state_dict(state["optimizer"])
+            torch.set_rng_state(state["random"])
+        if "lanes" in state and len(state["lanes"]["lane"]["clip"]) == self.args.batch:
+            self.lanes.load_state_dict(state["lanes"])
+            self.state = type(self.state)(*(t.to(self.device) for t in state["state"]))
+
+    def train_step(self):
+        """One chunk of every lane; returns the losses as floats."""
+        chunk = self.lanes.next_chunk()
+        sample = to_device(build(chunk), self.device)
+        reset = chunk.reset.to(self.device)
+        out, state = self.model(sample.features, sample.visible, self.state, reset)
+        named, error = losses(out, sample)
+        loss = total(named)
+        self.optimizer.zero_grad(set_to_none=True)
+        loss.backward()
+        norm = torch.nn.utils.clip_grad_norm_(self.model.parameters(), 1.0)
+        if not torch.isfinite(norm):
+            raise FloatingPointError(f"gradient is not finite at step {self.step}")
+        for group in self.optimizer.param_groups:
+            group["lr"] = learning_rate(self.args, self.step)
+        self.optimizer.step()
+        self.state = state.detach()
+        keep = min(AVERAGE, (1 + self.step) / (10 + self.step))
+        for name, value in self.model.state_dict().items():
+            self.average[name].lerp_(value, 1 - keep)
+        self.step += 1
+        return {"loss": loss.item(), "grad": norm.item(), **{k: v.item() for k, v in named.items()}}
+
+    def validate(self, store):
+        """Validation table of the averaged weights."""
+        kept = {k: v.clone() for k, v in self.model.state_dict().items()}
+        self.model.load_state_dict(self.average)
+        result = table(self.model, store, per_set=40)
+        self.model.load_state_dict(kept)
+        return result
+
+
+def score(result):
+    """What picks the best checkpoint: MPJPE plus a tenth of MPJVE, mean over sets and scenarios."""
+    return sum(r["mpjpe_cm"] + 0.1 * r["mpjve_cm_s"] for r in result.values()) / len(result)
+
+
+def append(path, row):
+    new = not path.exists()
+    with path.open("a", newline="") as file:
+        writer = csv.writer(file)
+        if new:
+            writer.writerow(row)
+        writer.writerow([f"{v:.6g}" if isinstance(v, float) else v for v in row.values()])
+
+
+def main():
+    args = arguments()
+    torch.set_num_threads(args.threads)
+    out = Path(args.out)
+    out.mkdir(parents=True, exist_ok=True)
+    run = Run(args)
+    last = out / "last.pt"
+    if last.exists():
+        run.load_state_dict(checkpoint.load(last))
+        print(f"going on from step {run.step}", flush=True)
+    validation = None
+    if args.mocap:
+        validation = stores.cached(args.mocap, args.cache, VALIDATION_SETS, ["val"])
+    stop = []
+    signal.signal(signal.SIGTERM, lambda *_: stop.append(True))
+    begun, saved, sums, count = time.monotonic(), time.monotonic(), {}, 0
+    before = run.seconds
+    while run.step < args.steps and not stop:
+        for name, value in run.train_step().items():
+            sums[name] = sums.get(name, 0.0) + value
+        count += 1
+        run.seconds = before + time.monotonic() - begun
+        if run.step % 50 == 0:
+            row = {"step": run.step, "seconds": run.seconds, **{k: v / count for k, v in sums.items()}}
+            append(out / "train.csv", row)
+            sums, count = {}, 0
+        if validation and (run.step % args.validate_every == 0 or run.step == args.steps):
+            result = run.validate(validation)
+            value = score(result)
+            with (out / "validation.jsonl").open("a") as file:
+                file.write(json.dumps({"step": run.step, "seconds": run.seconds, "score": value,
+                                       "table": result}) + "\n")
+            print(run.step, f"{run.seconds:.0f}s", f"{value:.3f}", {
+                k: (round(r["mpjpe_cm"], 2), round(r["mpjve_cm_s"], 1)) for k, r in result.items()
+            }, flush=True)
+            if value < run.best:
+                run.best = value
+                checkpoint.save(out / "best.pt", run.state_dict())
+        if time.monotonic() - saved > args.save_seconds:
+            checkpoint.save(last, run.state_dict())
+            saved = time.monotonic()
+    checkpoint.save(last, run.state_dict())
+
+
+if __name__ == "__main__":
+    main()

@@ -1,6 +1,7 @@
 //! The body: skeleton, kinematics, the physics character and the physics optimiser. Pure maths
 //! over an immutable model and a cloneable state.
 
+pub mod motion;
 pub mod skeleton;
 
 pub use skeleton::{BodyPose, JOINTS, Joint, Joints, Skeleton};

@@ -1,5 +1,7 @@
 //! From samples and a time to a body pose: the trackers and what they share.
 
+pub mod sensors;
 pub mod tracker;
 
+pub use sensors::{Mount, Mounts};
 pub use tracker::{Input, Quality, Tracked, Tracker, TrackerKind, Wearer};

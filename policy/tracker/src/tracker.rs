@@ -81,7 +81,10 @@ impl Wearer {
     /// Average proportions at `height` metres.
     #[must_use]
     pub fn of_height(height: f32) -> Self {
-        Self { height, skeleton: Skeleton::of_height(height) }
+        Self {
+            height,
+            skeleton: Skeleton::of_height(height),
+        }
     }
 }
 

@@ -11,7 +11,7 @@ from posed_mocap.rotations import matrix_to_six, yaw_matrix
 from posed_mocap.skeleton import HEAD, forward_kinematics
 
 from .features import RATE
-from .sample import auxiliary_target, forecast_target
+from .sample import Sample, auxiliary_target, forecast_target
 
 WEIGHTS = {
     "rotation": 1.0, "root": 1.0, "velocity": 1.0, "turning": 0.05, "global": 1.0,
@@ -25,24 +25,37 @@ def pose_from(local, offsets):
     return world, position - position[:, :, HEAD : HEAD + 1]
 
 
+def last_frames(sample, count):
+    """The sample's last `count` frames."""
+    kept = {name: value[:, -count:] for name, value in vars(sample).items()
+            if name not in ("height", "offsets")}
+    return Sample(height=sample.height, offsets=sample.offsets, **kept)
+
+
 def losses(out, sample):
-    """Each loss by name, unweighted, and the head-aligned joint error in metres (B, T, 22, 3)."""
+    """Each loss by name, unweighted, and the head-aligned joint error in metres (B, T, 22, 3).
+
+    A model may answer for only the last frames of the sample.
+    """
+    sample = last_frames(sample, out["six"].shape[1])
     world, position = pose_from(out["local"], sample.offsets)
     error = position - sample.positions
     turned = (yaw_matrix(sample.yaw).unsqueeze(2) @ error.unsqueeze(-1)).squeeze(-1)
     rate_error = (turned[:, 1:] - turned[:, :-1]) * RATE
     six_error = out["six"] - matrix_to_six(sample.local)
-    root = sample.positions[:, :, 0] / sample.height[:, None, None]
     named = {
         "rotation": six_error.abs().mean(),
-        "root": (out["root"] - root).abs().mean(),
         "velocity": (rate_error.square().sum(-1) + 1e-6).sqrt().mean(),
         "turning": (six_error[:, 1:] - six_error[:, :-1]).abs().mean() * RATE,
         "global": (world - sample.globals).abs().mean(),
         "position": (error.square().sum(-1) + 1e-8).sqrt().mean(),
-        "auxiliary": (out["auxiliary"] - auxiliary_target(sample)).abs().mean(),
-        "contact": F.binary_cross_entropy_with_logits(out["contact"], sample.contact),
     }
+    if "root" in out:
+        root = sample.positions[:, :, 0] / sample.height[:, None, None]
+        named["root"] = (out["root"] - root).abs().mean()
+        named["contact"] = F.binary_cross_entropy_with_logits(out["contact"], sample.contact)
+    if "auxiliary" in out:
+        named["auxiliary"] = (out["auxiliary"] - auxiliary_target(sample)).abs().mean()
     if "forecast" in out:
         ahead = forecast_target(sample.hidden_features)[:, 1:]
         named["forecast"] = (out["forecast"][:, :-1] - ahead).abs().mean()

@@ -53,7 +53,7 @@ class Embedding(nn.Module):
 
     def forward(self, features):
         """(..., 5, 15) to (5, ..., 4 * size)."""
-        split = (features * self.scale).movedim(-2, 0).split((6, 3, 3, 3), -1)
+        split = (features * self.scale).movedim(features.dim() - 2, 0).split((6, 3, 3, 3), -1)
         return torch.cat([F.leaky_relu(layer(x)) for layer, x in zip(self.parts, split)], -1)
 
 

@@ -23,7 +23,6 @@ from . import checkpoint
 from .evaluate import table
 from .lanes import Lanes
 from .losses import losses, total
-from .model import State
 from .sample import Sample, build
 
 VALIDATION_SETS = ["bandai", "cmu_amc", "cmu_amc2", "cmu_bvh", "cmu_cc"]
@@ -34,6 +33,7 @@ def arguments():
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--mocap", help="folder of the shared .npz sets")
     parser.add_argument("--store", help="one training file made by hmd_nemo.pack, instead")
+    parser.add_argument("--validation", help="one validation file made by hmd_nemo.pack")
     parser.add_argument("--sets", default=",".join(stores.TRAIN_SETS))
     parser.add_argument("--cache", default=stores.default_cache())
     parser.add_argument("--out", required=True, help="folder of checkpoints and logs")
@@ -168,7 +168,7 @@ def main():
     if last.exists():
         run.load_state_dict(checkpoint.load(last))
         print(f"going on from step {run.step}", flush=True)
-    validation = None
+    validation = stores.load(args.validation) if args.validation else None
     if args.mocap:
         validation = stores.cached(args.mocap, args.cache, VALIDATION_SETS, ["val"])
     stop = []

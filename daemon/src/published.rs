@@ -1,0 +1,141 @@
+//! What the daemon publishes: the wearer's pose at every tick, and the state of the devices.
+//! Everything that leaves the daemon (gRPC, files, other protocols) is made from these.
+
+use posed_body::{BodyPose, Joints};
+use posed_signal::{Battery, DeviceId, HostTime, Lookup, Pose, Role, Serial};
+use posed_tracker::{Quality, TrackerKind};
+use serde::{Serialize, Serializer, ser::SerializeStruct as _};
+
+/// One tick's result. It is `Copy`, so that it passes from the tracker thread without allocation.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct PublishedPose {
+    /// One more with every pose published; a step of more than one means that poses were lost on
+    /// the way.
+    pub sequence: u64,
+    /// When the newest measurement behind the pose was taken.
+    pub sample_at: HostTime,
+    /// The time that the pose is valid for.
+    pub target_at: HostTime,
+    /// When the pose was published.
+    pub publish_at: HostTime,
+    /// How far to trust it.
+    pub quality: Quality,
+    /// The tracker that made it.
+    pub kind: TrackerKind,
+    /// Root and local rotations.
+    pub pose: BodyPose,
+    /// The same pose's joints in the world.
+    pub joints: Joints,
+    /// What the tracker was given: each body part's pose at `target_at` and how it was made;
+    /// indexed by [`Role`] as a number.
+    pub parts: [Lookup<Pose>; Role::COUNT],
+}
+
+impl PublishedPose {
+    /// Whether every number that leaves the daemon with this pose is finite, and every rotation
+    /// unit.
+    #[must_use]
+    pub fn is_sound(&self) -> bool {
+        self.pose.is_sound()
+            && self.joints.positions.iter().all(|position| position.is_finite())
+            && self.parts.iter().all(|part| part.value().is_none_or(|pose| pose.is_sound()))
+    }
+}
+
+/// The line of `--poses` and of `posed follow --json`: times in ns, metres, quaternions x, y, z, w.
+impl Serialize for PublishedPose {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let mut line = serializer.serialize_struct("PublishedPose", 8)?;
+        line.serialize_field("sample_ns", &self.sample_at.0)?;
+        line.serialize_field("target_ns", &self.target_at.0)?;
+        line.serialize_field("publish_ns", &self.publish_at.0)?;
+        line.serialize_field("quality", self.quality.name())?;
+        line.serialize_field("tracker", self.kind.name())?;
+        line.serialize_field("root", &self.pose.root.to_array())?;
+        line.serialize_field("joints", &self.joints.positions.map(|position| position.to_array()))?;
+        line.serialize_field("rotations", &self.pose.rotations.map(|turn| turn.to_array()))?;
+        line.end()
+    }
+}
+
+/// What the daemon knows about one device.
+#[derive(Debug, Clone, PartialEq)]
+pub struct DeviceState {
+    /// Stable while the daemon runs.
+    pub id: DeviceId,
+    /// Serial number; empty while it is not known.
+    pub serial: Serial,
+    /// Product name.
+    pub model: String,
+    /// What it stands for on the wearer's body.
+    pub role: Role,
+    /// Whether it is plugged in (or paired and in reach) now.
+    pub connected: bool,
+    /// The last battery report, where the device has one.
+    pub battery: Option<Battery>,
+    /// Samples a second that arrived lately.
+    pub rate_hz: f32,
+    /// Share of the time, 0 to 1, for which the device was tracked optically.
+    pub tracked_share: f32,
+    /// Packets decoded.
+    pub packets: u64,
+    /// Packets that could not be decoded.
+    pub errors: u64,
+    /// Samples lost because a queue was full.
+    pub dropped: u64,
+    /// The last pose solved; its residual and how it came about are in it.
+    pub pose: Option<Pose>,
+}
+
+#[cfg(test)]
+pub(crate) mod tests {
+    use glam::{Quat, Vec3};
+    use posed_body::Skeleton;
+
+    use super::*;
+
+    /// A pose that differs in every number from that of another sequence number.
+    pub(crate) fn pose_at(sequence: u64, target_at: HostTime) -> PublishedPose {
+        let turn = 0.01 * (sequence % 100) as f32;
+        let mut pose = BodyPose::rest(Vec3::new(0.02 * turn, 0.9, turn));
+        for (index, rotation) in pose.rotations.iter_mut().enumerate() {
+            *rotation = Quat::from_rotation_y(turn + 0.02 * index as f32);
+        }
+        let mut parts = [Lookup::Empty; Role::COUNT];
+        let head = Pose { position: Vec3::new(0.0, 1.6, turn), ..Pose::unknown(target_at) };
+        parts[Role::Head as usize] = Lookup::Extrapolated { value: head, by_ns: 4_000_000 };
+        parts[Role::LeftHand as usize] = Lookup::Exact(head);
+        parts[Role::RightHand as usize] = Lookup::Stale { value: head, age_ns: 700_000_000 };
+        PublishedPose {
+            sequence,
+            sample_at: target_at.plus_ns(-4_000_000),
+            target_at,
+            publish_at: target_at.plus_ns(500_000),
+            quality: Quality::Full,
+            kind: TrackerKind::Ik,
+            pose,
+            joints: Skeleton::of_height(1.75).forward(&pose),
+            parts,
+        }
+    }
+
+    #[test]
+    fn a_line_of_json_holds_times_and_all_joints() {
+        let line = serde_json::to_value(pose_at(7, HostTime(9_000_000))).unwrap();
+        assert_eq!(line["sample_ns"], 5_000_000);
+        assert_eq!(line["publish_ns"], 9_500_000);
+        assert_eq!((&line["quality"], &line["tracker"]), (&"full".into(), &"ik".into()));
+        assert_eq!(line["joints"].as_array().map(Vec::len), Some(22));
+        assert_eq!(line["rotations"][21].as_array().map(Vec::len), Some(4));
+        assert_eq!(line["joints"][0], line["root"]);
+    }
+
+    #[test]
+    fn numbers_that_are_not_finite_are_seen() {
+        let sound = pose_at(1, HostTime(1));
+        assert!(sound.is_sound());
+        let mut broken = sound;
+        broken.joints.positions[4].x = f32::NAN;
+        assert!(!broken.is_sound());
+    }
+}

@@ -1,0 +1,267 @@
+//! The command line.
+
+use std::{net::SocketAddr, path::PathBuf};
+
+use clap::{Args, Parser, Subcommand, ValueEnum};
+
+/// Whole-body pose from a VR headset and its controllers, over gRPC.
+#[derive(Debug, Parser)]
+#[command(name = "posed", version, about, propagate_version = true)]
+pub struct Cli {
+    /// What to do.
+    #[command(subcommand)]
+    pub command: Command,
+    /// How much to log: error, warn, info, debug, trace, or a filter as in RUST_LOG.
+    #[arg(long, global = true, value_name = "FILTER")]
+    pub log: Option<String>,
+}
+
+/// The commands.
+#[derive(Debug, Subcommand)]
+pub enum Command {
+    /// Track the wearer of the headset on this PC and serve the pose.
+    Run(RunArgs),
+    /// Track from captured USB traffic, exactly as live.
+    Replay(ReplayArgs),
+    /// Say what a capture holds, device by device.
+    Inspect(InspectArgs),
+    /// Write the traffic of the devices on this PC to a capture.
+    Record(RecordArgs),
+    /// Make the USB traffic of a headset and two controllers from a human motion.
+    Simulate(SimulateArgs),
+    /// Follow the pose that a running posed serves.
+    Follow(FollowArgs),
+    /// List the devices on this PC that posed knows.
+    List(ListArgs),
+    /// Replay the embedded capture, serve it, follow it, and show what happens.
+    Demo(DemoArgs),
+    /// Print the udev rules that let the user at the PC open the devices.
+    Udev,
+    /// Print shell completions.
+    Completions {
+        /// For which shell.
+        shell: clap_complete::Shell,
+    },
+    /// Print the manual page (roff).
+    Man,
+}
+
+/// Who wears the headset, and how the body is worked out.
+#[derive(Debug, Clone, Args)]
+pub struct BodyArgs {
+    /// Which tracker works out the body; the configured one where this is left out.
+    #[arg(long, value_parser = parse_tracker)]
+    pub tracker: Option<posed_tracker::TrackerKind>,
+    /// The wearer's height in metres.
+    #[arg(long, value_name = "METRES", value_parser = parse_height)]
+    pub height: Option<f32>,
+    /// Where the base stations stand, in libsurvive's JSON.
+    #[arg(long, value_name = "FILE")]
+    pub base_stations: Option<PathBuf>,
+    /// Poses a second.
+    #[arg(long, value_name = "HZ", value_parser = parse_rate)]
+    pub rate: Option<f64>,
+    /// Configuration file, read after those of the system and the user.
+    #[arg(long, value_name = "FILE")]
+    pub config: Option<PathBuf>,
+}
+
+/// Files that poses are written to.
+#[derive(Debug, Clone, Args)]
+pub struct OutputArgs {
+    /// Write every body pose as a line of JSON.
+    #[arg(long, value_name = "FILE")]
+    pub poses: Option<PathBuf>,
+    /// Write every device pose as a line of JSON.
+    #[arg(long, value_name = "FILE")]
+    pub devices: Option<PathBuf>,
+}
+
+/// Arguments of `posed run`.
+#[derive(Debug, Args)]
+pub struct RunArgs {
+    /// The body.
+    #[command(flatten)]
+    pub body: BodyArgs,
+    /// The outputs.
+    #[command(flatten)]
+    pub output: OutputArgs,
+}
+
+/// Arguments of `posed replay`.
+#[derive(Debug, Args)]
+pub struct ReplayArgs {
+    /// Captures: usbmon or USBPcap, pcap or pcapng, gzip'd or not, or hid-recorder text. Several
+    /// are merged by time.
+    #[arg(required = true, value_name = "FILE")]
+    pub files: Vec<PathBuf>,
+    /// Times real time, or `max` for as fast as possible.
+    #[arg(long, default_value = "1", value_parser = parse_speed)]
+    pub speed: Speed,
+    /// The body.
+    #[command(flatten)]
+    pub body: BodyArgs,
+    /// The outputs.
+    #[command(flatten)]
+    pub output: OutputArgs,
+    /// Serve the poses over gRPC meanwhile.
+    #[arg(long)]
+    pub serve: bool,
+    /// Print the summary as JSON.
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// Arguments of `posed inspect`.
+#[derive(Debug, Args)]
+pub struct InspectArgs {
+    /// The capture.
+    pub file: PathBuf,
+    /// As JSON.
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// Formats that captures are written in.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum CaptureFormat {
+    /// usbmon in pcap, link type 220; compressed where the name ends in `.gz`.
+    Pcap,
+    /// hid-recorder text.
+    HidRecorder,
+}
+
+/// Arguments of `posed record`.
+#[derive(Debug, Args)]
+pub struct RecordArgs {
+    /// The capture to write.
+    #[arg(long, value_name = "FILE")]
+    pub out: PathBuf,
+    /// Its format.
+    #[arg(long, value_enum, default_value = "pcap")]
+    pub format: CaptureFormat,
+    /// Stop after so many seconds; otherwise at Ctrl-C.
+    #[arg(long, value_name = "SECONDS")]
+    pub seconds: Option<f64>,
+}
+
+/// Arguments of `posed simulate`.
+#[derive(Debug, Args)]
+pub struct SimulateArgs {
+    /// A motion file (npz); the built-in walking human where this is left out.
+    #[arg(long, value_name = "FILE", requires = "clip")]
+    pub motion: Option<PathBuf>,
+    /// The clip of the motion file.
+    #[arg(long, value_name = "NAME", requires = "motion")]
+    pub clip: Option<String>,
+    /// The wearer's height in metres, for the built-in human.
+    #[arg(long, value_name = "METRES", default_value = "1.75", value_parser = parse_height)]
+    pub height: f32,
+    /// Seconds, at most.
+    #[arg(long, value_name = "SECONDS")]
+    pub seconds: Option<f64>,
+    /// Seed of noise and motion.
+    #[arg(long, default_value_t = 1)]
+    pub seed: u64,
+    /// The capture to write (usbmon pcap; compressed where the name ends in `.gz`).
+    #[arg(long, value_name = "FILE")]
+    pub out: PathBuf,
+    /// Where to write the true poses, as lines of JSON.
+    #[arg(long, value_name = "FILE")]
+    pub truth: Option<PathBuf>,
+    /// Where to write the simulated base stations, in libsurvive's JSON.
+    #[arg(long, value_name = "FILE")]
+    pub base_stations: Option<PathBuf>,
+}
+
+/// Arguments of `posed follow`.
+#[derive(Debug, Args)]
+pub struct FollowArgs {
+    /// The server: a socket path or an address; the user's own socket where this is left out.
+    #[arg(long, value_name = "SOCKET|ADDRESS")]
+    pub server: Option<String>,
+    /// Print each pose as a line of JSON.
+    #[arg(long)]
+    pub json: bool,
+    /// Stop after so many poses.
+    #[arg(long, value_name = "N")]
+    pub count: Option<u64>,
+}
+
+/// Arguments of `posed list`.
+#[derive(Debug, Args)]
+pub struct ListArgs {
+    /// As JSON.
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// Arguments of `posed demo`.
+#[derive(Debug, Args)]
+pub struct DemoArgs {
+    /// Stop after so many seconds.
+    #[arg(long, value_name = "SECONDS")]
+    pub seconds: Option<f64>,
+    /// Listen here as well as on the demo's own socket.
+    #[arg(long, value_name = "ADDRESS")]
+    pub listen: Option<SocketAddr>,
+}
+
+/// How fast to replay.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Speed {
+    /// Times real time.
+    Times(f64),
+    /// Without waiting.
+    Max,
+}
+
+fn parse_speed(text: &str) -> Result<Speed, String> {
+    if text == "max" {
+        return Ok(Speed::Max);
+    }
+    match text.parse::<f64>() {
+        Ok(times) if (0.01..=1000.0).contains(&times) => Ok(Speed::Times(times)),
+        _ => Err("give a number from 0.01 to 1000, or max".into()),
+    }
+}
+
+fn parse_height(text: &str) -> Result<f32, String> {
+    match text.parse::<f32>() {
+        Ok(height) if (1.0..=2.5).contains(&height) => Ok(height),
+        _ => Err("give metres, from 1.0 to 2.5".into()),
+    }
+}
+
+fn parse_rate(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(rate) if (10.0..=1000.0).contains(&rate) => Ok(rate),
+        _ => Err("give poses a second, from 10 to 1000".into()),
+    }
+}
+
+fn parse_tracker(text: &str) -> Result<posed_tracker::TrackerKind, String> {
+    posed_tracker::TrackerKind::from_name(text).ok_or_else(|| {
+        let names = posed_tracker::TrackerKind::ALL.map(posed_tracker::TrackerKind::name);
+        format!("there are {}", names.join(", "))
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::CommandFactory as _;
+
+    use super::*;
+
+    #[test]
+    fn the_command_line_is_consistent() {
+        Cli::command().debug_assert();
+    }
+
+    #[test]
+    fn speeds_are_checked() {
+        assert_eq!(parse_speed("max"), Ok(Speed::Max));
+        assert_eq!(parse_speed("2.5"), Ok(Speed::Times(2.5)));
+        assert!(parse_speed("0").is_err() && parse_speed("NaN").is_err());
+    }
+}

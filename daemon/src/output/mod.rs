@@ -1,0 +1,3 @@
+//! Ways out of the daemon besides gRPC.
+
+pub mod jsonl;

@@ -1,0 +1,6 @@
+//! From device samples to published poses: the tracker loop and those who drive it.
+
+pub mod latency;
+pub mod replay;
+pub mod source;
+pub mod tracking;

@@ -1,0 +1,252 @@
+//! The tracker loop: rings in, a published pose out, once a tick.
+//!
+//! After [`TrackerLoop::new`] nothing here waits, locks, logs or allocates. The loop does not know
+//! who ticks it: a real-time thread, a replay that steps time, or a test.
+
+use posed_signal::{
+    Clock, DeviceId, History, HostTime, Lookup, Pose, Role, Sample,
+    device::DEVICES_MAX,
+    latest::Reader,
+    ring::Consumer,
+};
+use posed_tracker::{Input, Tracked, Tracker, TrackerKind, Wearer, ik::Ik, sensors::Mounts};
+
+use super::latency::LatencyModel;
+use crate::published::PublishedPose;
+
+/// Device poses remembered: at 500 Hz the last half second, the span after which one is stale.
+const HISTORY: usize = 256;
+/// Samples taken from one device at one tick: more than a ring holds.
+const DRAIN_MAX: usize = 4096;
+/// Requests taken at one tick.
+const REQUESTS_MAX: usize = 16;
+
+/// What each device stands for, by device id; told by the thread that owns the devices.
+pub type RoleTable = [Role; DEVICES_MAX];
+
+/// A request to the tracker, from a client or the command line.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Request {
+    /// Forget the past and start from what the devices say now.
+    Reset,
+    /// The wearer's height, metres.
+    Height(f32),
+    /// Work with this tracker from now on.
+    Tracker(TrackerKind),
+}
+
+/// Where samples come from and requests arrive.
+#[derive(Debug)]
+pub struct Inputs {
+    /// One ring for each device id.
+    pub rings: Vec<Consumer<Sample>>,
+    /// Who plays which role.
+    pub roles: Reader<RoleTable>,
+    /// Requests.
+    pub requests: Consumer<Request>,
+}
+
+/// What the loop starts with.
+pub struct Setup {
+    /// Trackers that can be chosen; `ik` is always there besides.
+    pub trackers: Vec<Box<dyn Tracker>>,
+    /// The one to begin with.
+    pub choice: TrackerKind,
+    /// The wearer.
+    pub wearer: Wearer,
+    /// How far beyond the tick poses are made for, ns.
+    pub horizon_ns: i64,
+}
+
+/// Counters that only grow.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Counters {
+    /// Ticks done.
+    pub ticks: u64,
+    /// Samples taken from the rings.
+    pub samples: u64,
+    /// Samples refused because they were not newer than the ones before.
+    pub out_of_order: u64,
+    /// Tracker answers that were not finite or not unit and were replaced by the fallback's.
+    pub quarantined: u64,
+}
+
+/// The loop's state.
+pub struct TrackerLoop {
+    inputs: Inputs,
+    histories: Vec<History<Pose, HISTORY>>,
+    roles: RoleTable,
+    trackers: Vec<Box<dyn Tracker>>,
+    fallback: Ik,
+    choice: TrackerKind,
+    wearer: Wearer,
+    mounts: Mounts,
+    latency: LatencyModel,
+    last: Tracked,
+    counters: Counters,
+}
+
+impl TrackerLoop {
+    /// Allocates everything that the loop will ever need.
+    #[must_use]
+    pub fn new(inputs: Inputs, setup: Setup) -> Self {
+        let hips = setup.wearer.skeleton.head_height() * 0.6;
+        let pose = posed_body::BodyPose::rest(glam::Vec3::new(0.0, hips, 0.0));
+        Self {
+            inputs,
+            histories: (0..DEVICES_MAX).map(|_| History::default()).collect(),
+            roles: [Role::None; DEVICES_MAX],
+            trackers: setup.trackers,
+            fallback: Ik::default(),
+            choice: setup.choice,
+            wearer: setup.wearer,
+            mounts: Mounts::index(&setup.wearer),
+            latency: LatencyModel::new(setup.horizon_ns),
+            last: Tracked { pose, quality: posed_tracker::Quality::Held, kind: TrackerKind::Ik },
+            counters: Counters::default(),
+        }
+    }
+
+    /// One tick: takes what arrived and answers with the body pose at the target time. `observe`
+    /// is shown every sample on its way in.
+    pub fn tick(
+        &mut self,
+        clock: &impl Clock,
+        observe: &mut dyn FnMut(DeviceId, &Sample),
+    ) -> PublishedPose {
+        let now = clock.now();
+        self.take_requests();
+        self.drain(observe);
+        let target = self.latency.target(now);
+        let parts = self.parts(target);
+        let tracked = self.track(target, &parts);
+        self.counters.ticks += 1;
+        self.publication(clock, now, target, &parts, tracked)
+    }
+
+    /// Counters so far.
+    #[must_use]
+    pub fn counters(&self) -> Counters {
+        self.counters
+    }
+
+    /// The wearer as the loop now sees them.
+    #[must_use]
+    pub fn wearer(&self) -> &Wearer {
+        &self.wearer
+    }
+
+    fn take_requests(&mut self) {
+        for _ in 0..REQUESTS_MAX {
+            match self.inputs.requests.pop() {
+                None => break,
+                Some(Request::Reset) => self.reset(),
+                Some(Request::Height(height)) => {
+                    self.wearer = Wearer::of_height(height);
+                    self.mounts = Mounts::index(&self.wearer);
+                    self.reset();
+                }
+                Some(Request::Tracker(kind)) => {
+                    self.choice = kind;
+                    self.reset();
+                }
+            }
+        }
+    }
+
+    fn reset(&mut self) {
+        self.fallback.reset();
+        for tracker in &mut self.trackers {
+            tracker.reset();
+        }
+    }
+
+    fn drain(&mut self, observe: &mut dyn FnMut(DeviceId, &Sample)) {
+        if let Some((_, roles)) = self.inputs.roles.get() {
+            self.roles = roles;
+        }
+        let devices = self.inputs.rings.iter_mut().zip(&mut self.histories);
+        for (index, (ring, history)) in devices.enumerate() {
+            for _ in 0..DRAIN_MAX {
+                let Some(sample) = ring.pop() else { break };
+                self.counters.samples += 1;
+                observe(DeviceId(index as u8), &sample);
+                if let Sample::Pose(pose) = sample
+                    && !take(history, pose)
+                {
+                    self.counters.out_of_order += 1;
+                }
+            }
+        }
+    }
+
+    /// The body part that each role stands for, at `target`.
+    fn parts(&self, target: HostTime) -> [Lookup<Pose>; Role::COUNT] {
+        let mut parts = [Lookup::Empty; Role::COUNT];
+        for (history, &role) in self.histories.iter().zip(&self.roles) {
+            let slot = &mut parts[role as usize];
+            if role != Role::None && matches!(slot, Lookup::Empty) {
+                *slot = self.mounts.part(role, history.at(target));
+            }
+        }
+        parts
+    }
+
+    fn track(&mut self, target: HostTime, parts: &[Lookup<Pose>; Role::COUNT]) -> Tracked {
+        let input = Input { target, parts, wearer: &self.wearer };
+        let chosen = self.trackers.iter_mut().find(|tracker| tracker.kind() == self.choice);
+        let answer = match chosen {
+            Some(tracker) => tracker.track(&input),
+            None => self.fallback.track(&input),
+        };
+        if answer.pose.is_sound() {
+            self.last = answer;
+            return answer;
+        }
+        self.counters.quarantined += 1;
+        let stand_in = self.fallback.track(&input);
+        if stand_in.pose.is_sound() {
+            self.last = stand_in;
+        }
+        self.last
+    }
+
+    fn publication(
+        &mut self,
+        clock: &impl Clock,
+        now: HostTime,
+        target: HostTime,
+        parts: &[Lookup<Pose>; Role::COUNT],
+        tracked: Tracked,
+    ) -> PublishedPose {
+        let head = self.histories.iter().zip(&self.roles).find(|(_, role)| **role == Role::Head);
+        let newest = head.and_then(|(history, _)| history.newest());
+        let sample_at = newest.map_or(HostTime(0), |pose| pose.at);
+        if newest.is_some() {
+            self.latency.observe(now, sample_at);
+        }
+        PublishedPose {
+            sequence: self.counters.ticks,
+            sample_at,
+            target_at: target,
+            publish_at: clock.now(),
+            quality: tracked.quality,
+            kind: tracked.kind,
+            pose: tracked.pose,
+            joints: self.wearer.skeleton.forward(&tracked.pose),
+            parts: *parts,
+        }
+    }
+}
+
+/// Puts a pose into its history. A stream whose time falls back far has started anew: its past is
+/// of another clock.
+fn take(history: &mut History<Pose, HISTORY>, pose: Pose) -> bool {
+    if history.newest().is_some_and(|newest| newest.at.since_ns(pose.at) > RESTART_NS) {
+        history.clear();
+    }
+    history.push(pose)
+}
+
+/// A stream that falls back further than this has started anew.
+const RESTART_NS: i64 = posed_signal::time::SECOND_NS as i64;

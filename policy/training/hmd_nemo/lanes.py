@@ -110,10 +110,11 @@ class Lanes:
         }
 
     def state_dict(self):
-        return {"lane": self.lane, "generator": self.generator.get_state()}
+        lane = {name: value.clone() for name, value in self.lane.items()}
+        return {"lane": lane, "generator": self.generator.get_state()}
 
     def load_state_dict(self, state):
-        self.lane = state["lane"]
+        self.lane = {name: value.clone() for name, value in state["lane"].items()}
         self.generator.set_state(state["generator"])
 
     def _normal(self, *shape):

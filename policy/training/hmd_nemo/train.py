@@ -20,6 +20,7 @@ import torch
 from posed_mocap import store as stores
 
 from . import checkpoint
+from .workers import Workers, spawn
 from .evaluate import table
 from .lanes import Lanes
 from .losses import losses, total
@@ -47,7 +48,9 @@ def arguments():
     parser.add_argument("--steps", type=int, default=1_000_000)
     parser.add_argument("--decay", type=int, default=0)
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--threads", type=int, default=2)
+    parser.add_argument("--workers", type=int, default=1,
+                        help="processes that share each batch; on busy CPUs better than threads")
+    parser.add_argument("--threads", type=int, default=1, help="of each worker")
     parser.add_argument("--device", default="auto")
     parser.add_argument("--validate-every", type=int, default=400)
     parser.add_argument("--save-seconds", type=float, default=180)
@@ -68,8 +71,8 @@ def to_device(sample, device):
 class Run:
     """Everything a training step needs, and what a checkpoint keeps."""
 
-    def __init__(self, args):
-        self.args = args
+    def __init__(self, args, workers):
+        self.args, self.workers = args, workers
         torch.manual_seed(args.seed)
         chosen = "cuda" if torch.cuda.is_available() else "cpu"
         self.device = torch.device(chosen if args.device == "auto" else args.device)
@@ -77,7 +80,8 @@ class Run:
             store = stores.load(args.store)
         else:
             store = stores.cached(args.mocap, args.cache, args.sets.split(","), ["train"])
-        self.lanes = Lanes(store, args.batch, args.frames, args.seed)
+        share = args.batch // workers.count
+        self.lanes = Lanes(store, share, args.frames, args.seed * 1000 + workers.rank)
         model = checkpoint.build_model(args.family, args.model)
         if args.fixed_mask:
             config = {**asdict(model.config), "tamt": False}
@@ -85,17 +89,16 @@ class Run:
         self.model = model.to(self.device).train()
         self.average = {k: v.detach().clone() for k, v in self.model.state_dict().items()}
         self.optimizer = torch.optim.AdamW(
-            self.model.parameters(), lr=args.rate, betas=(0.9, 0.99), weight_decay=0.01
+            self.model.parameters(), lr=args.rate, betas=(0.9, 0.99), weight_decay=0.01, fused=True
         )
-        self.state = self.model.initial_state(args.batch)
+        self.state = self.model.initial_state(share)
         self.step, self.seconds, self.best = 0, 0.0, float("inf")
 
     def state_dict(self):
         return {
             "family": self.args.family, "config": asdict(self.model.config),
             "model": self.model.state_dict(), "average": self.average,
-            "optimizer": self.optimizer.state_dict(), "lanes": self.lanes.state_dict(),
-            "state": list(self.state.tensors()), "step": self.step, "seconds": self.seconds,
+            "optimizer": self.optimizer.state_dict(), "step": self.step, "seconds": self.seconds,
             "best": self.best, "random": torch.get_rng_state(), "arguments": {
                 k: str(v) for k, v in vars(self.args).items()
             },
@@ -108,7 +111,14 @@ class Run:
         if "optimizer" in state:
             self.optimizer.load_state_dict(state["optimizer"])
             torch.set_rng_state(state["random"])
-        if "lanes" in state and len(state["lanes"]["lane"]["clip"]) == self.args.batch:
+
+    def lanes_dict(self):
+        """Where this worker's lanes are, and the network's memory of them."""
+        return {"lanes": self.lanes.state_dict(), "state": list(self.state.tensors())}
+
+    def load_lanes(self, state):
+        """Goes on with saved lanes; of another batch size, starts fresh ones."""
+        if len(state["lanes"]["lane"]["clip"]) == self.lanes.batch:
             self.lanes.load_state_dict(state["lanes"])
             self.state = type(self.state)(*(t.to(self.device) for t in state["state"]))
 
@@ -122,6 +132,7 @@ class Run:
         loss = total(named)
         self.optimizer.zero_grad(set_to_none=True)
         loss.backward()
+        self.workers.share_gradients(self.model.parameters())
         norm = torch.nn.utils.clip_grad_norm_(self.model.parameters(), 1.0)
         if not torch.isfinite(norm):
             raise FloatingPointError(f"gradient is not finite at step {self.step}")
@@ -130,8 +141,9 @@ class Run:
         self.optimizer.step()
         self.state = state.detach()
         keep = min(AVERAGE, (1 + self.step) / (10 + self.step))
-        for name, value in self.model.state_dict().items():
-            self.average[name].lerp_(value, 1 - keep)
+        torch._foreach_lerp_(
+            list(self.average.values()), list(self.model.state_dict().values()), 1 - keep
+        )
         self.step += 1
         return {"loss": loss.item(), "grad": norm.item(), **{k: v.item() for k, v in named.items()}}
 
@@ -158,48 +170,88 @@ def append(path, row):
         writer.writerow([f"{v:.6g}" if isinstance(v, float) else v for v in row.values()])
 
 
-def main():
-    args = arguments()
-    torch.set_num_threads(args.threads)
-    out = Path(args.out)
-    out.mkdir(parents=True, exist_ok=True)
-    run = Run(args)
-    last = out / "last.pt"
-    if last.exists():
-        run.load_state_dict(checkpoint.load(last))
-        print(f"going on from step {run.step}", flush=True)
-    validation = stores.load(args.validation) if args.validation else None
-    if args.mocap:
-        validation = stores.cached(args.mocap, args.cache, VALIDATION_SETS, ["val"])
-    stop = []
-    signal.signal(signal.SIGTERM, lambda *_: stop.append(True))
-    begun, saved, sums, count = time.monotonic(), time.monotonic(), {}, 0
-    before = run.seconds
-    while run.step < args.steps and not stop:
-        for name, value in run.train_step().items():
-            sums[name] = sums.get(name, 0.0) + value
-        count += 1
-        run.seconds = before + time.monotonic() - begun
+class Log:
+    """Losses averaged over 50 steps to `train.csv`, validation to `validation.jsonl`."""
+
+    def __init__(self, out):
+        self.out, self.sums, self.count = out, {}, 0
+
+    def losses(self, run, named):
+        for name, value in named.items():
+            self.sums[name] = self.sums.get(name, 0.0) + value
+        self.count += 1
         if run.step % 50 == 0:
-            row = {"step": run.step, "seconds": run.seconds, **{k: v / count for k, v in sums.items()}}
-            append(out / "train.csv", row)
-            sums, count = {}, 0
-        if validation and (run.step % args.validate_every == 0 or run.step == args.steps):
+            means = {k: v / self.count for k, v in self.sums.items()}
+            append(self.out / "train.csv", {"step": run.step, "seconds": run.seconds, **means})
+            self.sums, self.count = {}, 0
+
+    def validation(self, run, value, result):
+        row = {"step": run.step, "seconds": run.seconds, "score": value, "table": result}
+        with (self.out / "validation.jsonl").open("a") as file:
+            file.write(json.dumps(row) + "\n")
+        errors = {k: (round(r["mpjpe_cm"], 2), round(r["mpjve_cm_s"], 1)) for k, r in result.items()}
+        print(run.step, f"{run.seconds:.0f}s", f"{value:.3f}", errors, flush=True)
+
+
+def validation_store(args):
+    if args.validation:
+        return stores.load(args.validation)
+    if args.mocap:
+        return stores.cached(args.mocap, args.cache, VALIDATION_SETS, ["val"])
+    return None
+
+
+def save(run, out):
+    """Every worker its lanes, the first the rest."""
+    checkpoint.save(out / f"lanes.{run.workers.rank}.pt", run.lanes_dict())
+    if run.workers.rank == 0:
+        checkpoint.save(out / "last.pt", run.state_dict())
+
+
+def resume(run, out):
+    if (out / "last.pt").exists():
+        run.load_state_dict(checkpoint.load(out / "last.pt"))
+        lanes = out / f"lanes.{run.workers.rank}.pt"
+        if lanes.exists():
+            run.load_lanes(checkpoint.load(lanes))
+        print(f"going on from step {run.step}", flush=True)
+
+
+def train(workers, args):
+    """The loop of one worker."""
+    torch.set_num_threads(args.threads)
+    out, first = Path(args.out), workers.rank == 0
+    out.mkdir(parents=True, exist_ok=True)
+    run, log = Run(args, workers), Log(out)
+    resume(run, out)
+    validation = validation_store(args) if first else None
+    stopped = []
+    signal.signal(signal.SIGTERM, lambda *_: stopped.append(True))
+    begun, before, saved = time.monotonic(), run.seconds, time.monotonic()
+    while run.step < args.steps:
+        named = run.train_step()
+        run.seconds = before + time.monotonic() - begun
+        due = run.step % args.validate_every == 0 or run.step == args.steps
+        if first:
+            log.losses(run, named)
+        if validation and due:
             result = run.validate(validation)
             value = score(result)
-            with (out / "validation.jsonl").open("a") as file:
-                file.write(json.dumps({"step": run.step, "seconds": run.seconds, "score": value,
-                                       "table": result}) + "\n")
-            print(run.step, f"{run.seconds:.0f}s", f"{value:.3f}", {
-                k: (round(r["mpjpe_cm"], 2), round(r["mpjve_cm_s"], 1)) for k, r in result.items()
-            }, flush=True)
+            log.validation(run, value, result)
             if value < run.best:
                 run.best = value
                 checkpoint.save(out / "best.pt", run.state_dict())
-        if time.monotonic() - saved > args.save_seconds:
-            checkpoint.save(last, run.state_dict())
+        stop, keep = workers.any_of(bool(stopped), time.monotonic() - saved > args.save_seconds)
+        if keep:
+            save(run, out)
             saved = time.monotonic()
-    checkpoint.save(last, run.state_dict())
+        if stop:
+            break
+    save(run, out)
+
+
+def main():
+    spawn(train, arguments())
 
 
 if __name__ == "__main__":

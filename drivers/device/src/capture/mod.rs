@@ -5,9 +5,37 @@
 //! each also gzip'd. A [`CaptureReader`] streams: its memory does not grow with the file. What is
 //! wrong with a file comes as a typed [`Warning`] among its packets, and costs nothing else.
 
+mod hid_recorder;
+mod hid_recorder_writer;
 pub mod identity;
+mod pairing;
 mod reader;
+mod records;
+mod source;
+mod usbmon;
 mod usbmon_writer;
+mod usbpcap;
 
+pub use hid_recorder::LINE_BYTES_MAX;
+pub use hid_recorder_writer::HidRecorderWriter;
+pub use pairing::PENDING_CONTROLS_MAX;
 pub use reader::{CaptureError, CaptureReader, Item, Statistics, Warning, open};
+pub use records::RECORD_BYTES_MAX;
 pub use usbmon_writer::{UsbmonOptions, UsbmonWriter};
+
+/// Reads `data` as a capture to its end: the entry point of fuzz targets. Returns what was read,
+/// so that nothing of it can be optimised away.
+pub fn fuzz_entry(data: &[u8]) -> Statistics {
+    let Ok(mut reader) = open(data) else {
+        return Statistics::default();
+    };
+    for item in &mut reader {
+        if let Item::Packet(packet) = item {
+            assert!(
+                packet.data.len() <= RECORD_BYTES_MAX,
+                "a packet longer than its record"
+            );
+        }
+    }
+    reader.statistics()
+}

@@ -37,8 +37,15 @@ impl PublishedPose {
     #[must_use]
     pub fn is_sound(&self) -> bool {
         self.pose.is_sound()
-            && self.joints.positions.iter().all(|position| position.is_finite())
-            && self.parts.iter().all(|part| part.value().is_none_or(|pose| pose.is_sound()))
+            && self
+                .joints
+                .positions
+                .iter()
+                .all(|position| position.is_finite())
+            && self
+                .parts
+                .iter()
+                .all(|part| part.value().is_none_or(|pose| pose.is_sound()))
     }
 }
 
@@ -52,8 +59,14 @@ impl Serialize for PublishedPose {
         line.serialize_field("quality", self.quality.name())?;
         line.serialize_field("tracker", self.kind.name())?;
         line.serialize_field("root", &self.pose.root.to_array())?;
-        line.serialize_field("joints", &self.joints.positions.map(|position| position.to_array()))?;
-        line.serialize_field("rotations", &self.pose.rotations.map(|turn| turn.to_array()))?;
+        line.serialize_field(
+            "joints",
+            &self.joints.positions.map(|position| position.to_array()),
+        )?;
+        line.serialize_field(
+            "rotations",
+            &self.pose.rotations.map(|turn| turn.to_array()),
+        )?;
         line.end()
     }
 }
@@ -102,10 +115,19 @@ pub(crate) mod tests {
             *rotation = Quat::from_rotation_y(turn + 0.02 * index as f32);
         }
         let mut parts = [Lookup::Empty; Role::COUNT];
-        let head = Pose { position: Vec3::new(0.0, 1.6, turn), ..Pose::unknown(target_at) };
-        parts[Role::Head as usize] = Lookup::Extrapolated { value: head, by_ns: 4_000_000 };
+        let head = Pose {
+            position: Vec3::new(0.0, 1.6, turn),
+            ..Pose::unknown(target_at)
+        };
+        parts[Role::Head as usize] = Lookup::Extrapolated {
+            value: head,
+            by_ns: 4_000_000,
+        };
         parts[Role::LeftHand as usize] = Lookup::Exact(head);
-        parts[Role::RightHand as usize] = Lookup::Stale { value: head, age_ns: 700_000_000 };
+        parts[Role::RightHand as usize] = Lookup::Stale {
+            value: head,
+            age_ns: 700_000_000,
+        };
         PublishedPose {
             sequence,
             sample_at: target_at.plus_ns(-4_000_000),
@@ -124,7 +146,10 @@ pub(crate) mod tests {
         let line = serde_json::to_value(pose_at(7, HostTime(9_000_000))).unwrap();
         assert_eq!(line["sample_ns"], 5_000_000);
         assert_eq!(line["publish_ns"], 9_500_000);
-        assert_eq!((&line["quality"], &line["tracker"]), (&"full".into(), &"ik".into()));
+        assert_eq!(
+            (&line["quality"], &line["tracker"]),
+            (&"full".into(), &"ik".into())
+        );
         assert_eq!(line["joints"].as_array().map(Vec::len), Some(22));
         assert_eq!(line["rotations"][21].as_array().map(Vec::len), Some(4));
         assert_eq!(line["joints"][0], line["root"]);

@@ -67,6 +67,12 @@ pub enum Warning {
         /// Offset in the file as it lies there.
         at_byte: u64,
     },
+    /// The compressed stream is whole, but something else follows it.
+    #[error("what follows the gzip stream from byte {at_byte} on is not part of it; it is ignored")]
+    TrailingBytes {
+        /// Offset in the file as it lies there.
+        at_byte: u64,
+    },
     /// The operating system would not read on.
     #[error("reading failed at byte {at_byte}: {kind}; only what lies before it was read")]
     Unreadable {

@@ -146,11 +146,16 @@ impl<'a> Records<'a> {
                 Err(PcapError::Eof) => return Step::End(self.fault.warning()),
                 Err(PcapError::UnexpectedEof) => return Step::End(self.cut_off()),
                 Err(PcapError::BufferTooSmall) => {
-                    return Step::End(Some(Warning::RecordTooLong { record: self.count }));
+                    return self.damaged(Warning::RecordTooLong { record: self.count });
                 }
-                Err(_) => return Step::End(Some(Warning::Damaged { record: self.count })),
+                Err(_) => return self.damaged(Warning::Damaged { record: self.count }),
             }
         }
+    }
+
+    /// Damage in the compressed stream is why records make no sense, if there is any.
+    fn damaged<T>(&self, warning: Warning) -> Step<T> {
+        Step::End(Some(self.fault.warning().unwrap_or(warning)))
     }
 
     /// The end came where it should not have, unless nothing had been begun.

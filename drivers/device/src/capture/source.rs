@@ -8,7 +8,7 @@ use std::{
     },
 };
 
-use flate2::bufread::MultiGzDecoder;
+use flate2::bufread::GzDecoder;
 
 use super::Warning;
 
@@ -17,6 +17,9 @@ use super::Warning;
 const INFLATE_BYTES: usize = 1_024;
 /// Bytes that the format is told by.
 const PREFIX_BYTES: usize = 1_024;
+
+/// How every gzip stream begins.
+const GZIP_MAGIC: [u8; 2] = [0x1f, 0x8b];
 
 type Input<'a> = Box<dyn Read + Send + 'a>;
 
@@ -59,7 +62,7 @@ impl BufRead for Counted<'_> {
 
 enum Stream<'a> {
     Plain(Counted<'a>),
-    Gzip(MultiGzDecoder<Counted<'a>>),
+    Gzip(GzDecoder<Counted<'a>>),
 }
 
 /// A capture's content. Reading never fails: at damage it ends, and [`Fault`] says why.
@@ -69,6 +72,8 @@ pub(super) struct Source<'a> {
     prefix: io::Cursor<Vec<u8>>,
     progress: Progress,
     fault: Fault,
+    /// Where a further gzip stream should begin of which nothing has come yet.
+    follows_at: Option<u64>,
     ended: bool,
 }
 
@@ -94,7 +99,7 @@ impl<'a> Source<'a> {
     /// Not even the first bytes can be read.
     pub(super) fn new(mut input: Input<'a>) -> io::Result<Self> {
         let magic = read_up_to(&mut input, 2)?;
-        let gzip = magic == [0x1f, 0x8b];
+        let gzip = magic == GZIP_MAGIC;
         let progress = Progress::default();
         let whole: Input<'a> = Box::new(io::Cursor::new(magic).chain(input));
         let counted = Counted {
@@ -102,7 +107,7 @@ impl<'a> Source<'a> {
             taken: progress.clone(),
         };
         let stream = if gzip {
-            Stream::Gzip(MultiGzDecoder::new(counted))
+            Stream::Gzip(GzDecoder::new(counted))
         } else {
             Stream::Plain(counted)
         };
@@ -112,6 +117,7 @@ impl<'a> Source<'a> {
             prefix,
             progress,
             fault: Fault::default(),
+            follows_at: None,
             ended: false,
         };
         let mut prefix = vec![0; PREFIX_BYTES];
@@ -147,8 +153,11 @@ impl<'a> Source<'a> {
                 }
             };
             match result {
-                Ok(0) => self.ended = true,
-                Ok(count) => filled += count,
+                Ok(0) => self.end_of_stream(),
+                Ok(count) => {
+                    self.follows_at = None;
+                    filled += count;
+                }
                 Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
                 Err(error) => self.end_at_fault(error.kind()),
             }
@@ -156,9 +165,44 @@ impl<'a> Source<'a> {
         filled
     }
 
+    /// A gzip file may be several streams, one behind the other, with zeros as padding.
+    fn end_of_stream(&mut self) {
+        self.ended = true;
+        let Stream::Gzip(stream) = &mut self.stream else {
+            return;
+        };
+        let counted = stream.get_mut();
+        let more = loop {
+            let zeros = match counted.fill_buf() {
+                Ok([]) | Err(_) => break false,
+                Ok(bytes) => bytes.iter().take_while(|&&byte| byte == 0).count(),
+            };
+            if zeros == 0 {
+                break true;
+            }
+            counted.consume(zeros);
+        };
+        if more {
+            let empty: Input<'_> = Box::new(io::empty());
+            let nothing = Counted {
+                inner: BufReader::new(empty),
+                taken: counted.taken.clone(),
+            };
+            let rest = std::mem::replace(counted, nothing);
+            // A decoder reads its header as soon as it is made.
+            self.follows_at = Some(self.progress.bytes());
+            self.stream = Stream::Gzip(GzDecoder::new(rest));
+            self.ended = false;
+        }
+    }
+
     fn end_at_fault(&mut self, kind: io::ErrorKind) {
         let at_byte = self.progress.bytes();
         self.ended = true;
+        // What did not even begin as another stream is none.
+        if let Some(at_byte) = self.follows_at {
+            return self.fault.set(Warning::TrailingBytes { at_byte });
+        }
         self.fault.set(match kind {
             io::ErrorKind::UnexpectedEof => Warning::CutOff { at_byte },
             io::ErrorKind::InvalidInput | io::ErrorKind::InvalidData => {
@@ -223,6 +267,18 @@ mod tests {
             read_all(&two_members),
             ([content, b"more".to_vec()].concat(), None)
         );
+    }
+
+    #[test]
+    fn bytes_behind_a_complete_stream_are_left_alone() {
+        let whole = gzip(b"content");
+        let padded = [&whole[..], &[0; 20]].concat();
+        assert_eq!(read_all(&padded), (b"content".to_vec(), None));
+        let trailing = Warning::TrailingBytes {
+            at_byte: whole.len() as u64,
+        };
+        let followed = [&whole[..], b"something"].concat();
+        assert_eq!(read_all(&followed), (b"content".to_vec(), Some(trailing)));
     }
 
     #[test]

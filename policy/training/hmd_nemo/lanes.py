@@ -19,14 +19,14 @@ from posed_mocap.skeleton import JOINTS, MIRROR
 from .visibility import random_loss
 
 SET_WEIGHTS = {
-    "bandai": 0.30, "snu": 0.13, "fubot": 0.09, "cmu_amc2": 0.20, "cmu_amc": 0.03,
-    "cmu_bvh": 0.06, "cmu_cc": 0.03, "cmu_expmap": 0.06, "cmu_poser": 0.06, "reactidle": 0.04,
+    "bandai": 0.34, "snu": 0.14, "fubot": 0.08, "cmu_amc2": 0.19, "cmu_amc": 0.03,
+    "cmu_bvh": 0.06, "cmu_cc": 0.03, "cmu_expmap": 0.05, "cmu_poser": 0.05, "reactidle": 0.03,
 }
 STRONG = {"bandai": 0.3, "snu": 0.3, "fubot": 0.5}
 """Share of lanes with body and sensor-frame augmentation; 0.7 where a set is not named."""
 STRONG_DEFAULT = 0.7
 CONTROLLERS, FIELD_OF_VIEW, HEAD_ONLY = 0, 1, 2
-SCENARIO_WEIGHTS = torch.tensor([0.5, 0.46, 0.04])
+SCENARIO_WEIGHTS = torch.tensor([0.56, 0.40, 0.04])
 SPLICE = 0.3
 LEGS = [1, 2, 4, 5, 7, 8, 10, 11]
 TORSO = [3, 6, 9, 12, 13, 14]

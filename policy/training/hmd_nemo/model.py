@@ -72,7 +72,7 @@ class MaskTokens(nn.Module):
         ])
 
     def features(self, tokens):
-        """tokens (5, B, hidden) to (4, B, width)."""
+        """Encoder tokens (5, B, hidden) to (4, B, width)."""
         x = torch.cat([tokens[:1].expand(HANDS, -1, -1), tokens[1:]], -1)
         for layer in self.base:
             x = F.leaky_relu(layer(x))
@@ -120,12 +120,12 @@ class HmdNemo(nn.Module):
         self.mask_tokens = MaskTokens(config) if config.tamt else None
         self.decoder_in = nn.Linear(STREAMS * d, config.decoder)
         self.decoder_initial = nn.Linear(STREAMS * d, config.decoder)
-        self.decoder_gru = nn.GRU(config.decoder, config.decoder, batch_first=True)
+        self.decoder_gru = GroupedGru(1, config.decoder, config.decoder)
         self.decoder_mid = nn.Linear(2 * config.decoder, config.decoder)
         self.pose = nn.Linear(config.decoder, JOINTS * 6)
         self.contact = nn.Linear(config.decoder, CONTACTS)
         self.trajectory_in = nn.Linear(STREAMS * d, config.trajectory)
-        self.trajectory_gru = nn.GRU(config.trajectory, config.trajectory, batch_first=True)
+        self.trajectory_gru = GroupedGru(1, config.trajectory, config.trajectory)
         self.trajectory = nn.Linear(config.trajectory, 3)
         self.auxiliary = nn.Linear(STREAMS * d, JOINTS * 9)
         with torch.no_grad():
@@ -138,65 +138,92 @@ class HmdNemo(nn.Module):
         return State(zeros(STREAMS, batch, c.hidden), zeros(HANDS, batch, 4 * c.embed),
                      zeros(batch, c.decoder), zeros(batch, c.trajectory))
 
-    def encode_frame(self, embedded, hidden, seen, previous):
-        """One frame of the encoder: (5, B, w) to the new GRU state and tokens (5, B, d)."""
-        hands = torch.where(seen, embedded[1:], previous)
-        x = torch.cat([embedded[:1], hands])
-        hidden = self.gru(x, hidden)
-        tokens = (hidden + self.skip(x)).transpose(0, 1)
+    def spatial(self, x, hidden):
+        """Transformer over the streams: x and GRU states (5, ..., w) to tokens (5, ..., d)."""
+        tokens = (hidden + self.skip(x)).flatten(1, -2).transpose(0, 1)
         for layer in self.layers:
             tokens = layer(tokens)
-        tokens = self.norm(tokens).transpose(0, 1)
-        return hidden, tokens
+        return self.norm(tokens).transpose(0, 1).unflatten(1, x.shape[1:-1])
+
+    def encode_frame(self, embedded, hidden, seen, previous):
+        """One frame of the encoder: embedded (5, B, w), previous mask tokens (4, B, w)."""
+        x = torch.cat([embedded[:1], torch.where(seen, embedded[1:], previous)])
+        hidden = self.gru(x, hidden)
+        return hidden, self.spatial(x, hidden)
 
     def next_token(self, tokens):
-        """Mask tokens for the next frame, and the features they are made from."""
+        """Mask tokens for the next frame from encoder tokens (5, B, d)."""
         if self.mask_tokens is None:
-            return self.first_token.expand(-1, tokens.shape[1], -1), None
-        base = self.mask_tokens.features(tokens)
-        return self.mask_tokens.token(base), base
+            return self.first_token.expand(-1, tokens.shape[1], -1)
+        return self.mask_tokens.token(self.mask_tokens.features(tokens))
 
-    def decode(self, tokens, state, reset):
-        """Tokens (5, B, T, d) to the outputs and the decoders' new states."""
-        joined = tokens.permute(1, 2, 0, 3).flatten(2)
+    @torch.no_grad()
+    def roll_out(self, embedded, seen, hidden, token):
+        """Encoder tokens (5, T, B, d) frame by frame, with the mask tokens fed back."""
+        out = []
+        for t in range(embedded.shape[1]):
+            hidden, tokens = self.encode_frame(embedded[:, t], hidden, seen[:, t], token)
+            token = self.next_token(tokens)
+            out.append(tokens)
+        return torch.stack(out, 1)
+
+    def masks(self, embedded, seen, hidden, token):
+        """Mask tokens (4, T, B, w) for frames whose hands are not seen.
+
+        They depend on the encoder's own past. The past is rolled out first, without gradients;
+        then all tokens are made from it at once. So their values are exact, and their gradients
+        train the token network but do not run further back through time.
+        """
+        if self.mask_tokens is None:
+            return self.first_token.unsqueeze(1).expand_as(embedded[1:])
+        lanes = (~seen).flatten(0, 1).any(0).squeeze(-1).nonzero().squeeze(1)
+        masks = torch.zeros_like(embedded[1:])
+        if len(lanes) == 0:
+            return masks
+        past = self.roll_out(embedded[:, :, lanes].detach(), seen[:, :, lanes],
+                             hidden[:, lanes].detach(), token[:, lanes].detach())
+        flat = past[:, :-1].flatten(1, 2)
+        later = self.next_token(flat).unflatten(1, past[:, :-1].shape[1:3])
+        return masks.index_copy(2, lanes, torch.cat([token[:, lanes].unsqueeze(1), later], 1))
+
+    def decode(self, joined, state, reset):
+        """Joined tokens (T, B, 5 d) to the outputs (T, B, ...) and the decoders' new states."""
         x = F.leaky_relu(self.decoder_in(joined))
-        first = torch.tanh(self.decoder_initial(joined[:, 0]))
+        first = torch.tanh(self.decoder_initial(joined[0]))
         start = torch.where(reset, first, state.pose)
-        memory, pose_state = self.decoder_gru(x, start.unsqueeze(0))
+        memory = self.decoder_gru.scan(x.unsqueeze(0), start.unsqueeze(0))[0]
+        start = torch.where(reset, torch.zeros_like(state.trajectory), state.trajectory)
+        path = F.leaky_relu(self.trajectory_in(joined)).unsqueeze(0)
+        path = self.trajectory_gru.scan(path, start.unsqueeze(0))[0]
+        return self.answer(x, memory, path), memory[-1], path[-1]
+
+    def answer(self, x, memory, path):
+        """The heads' outputs from the decoders' inputs and states."""
         mid = F.leaky_relu(self.decoder_mid(torch.cat([memory, x], -1)))
-        path, path_state = self.trajectory_gru(
-            F.leaky_relu(self.trajectory_in(joined)),
-            torch.where(reset, torch.zeros_like(state.trajectory), state.trajectory).unsqueeze(0),
-        )
-        out = {
-            "six": self.pose(mid).unflatten(-1, (JOINTS, 6)),
-            "contact": self.contact(mid),
-            "root": self.trajectory(path),
-        }
-        out["local"] = six_to_matrix(out["six"])
-        return out, joined, pose_state[0], path_state[0]
+        six = self.pose(mid).unflatten(-1, (JOINTS, 6))
+        return {"six": six, "local": six_to_matrix(six), "contact": self.contact(mid),
+                "root": self.trajectory(path)}
 
     def forward(self, features, visible, state, reset):
         """features (B, T, 5, 15), visible (B, T, 2) bool, reset (B, 1) bool: start afresh at the
         first frame. Returns the outputs by name, (B, T, ...), and the state after the last frame.
         """
-        embedded = self.embedding(features).unbind(2)
-        seen = visible[..., [0, 1, 0, 1]].permute(1, 2, 0).unsqueeze(-1)
-        hidden = torch.where(
-            reset, torch.tanh(self.initial(embedded[0][:1].expand(STREAMS, -1, -1))), state.streams
-        )
+        embedded = self.embedding(features.transpose(0, 1))
+        seen = visible[..., [0, 1, 0, 1]].permute(2, 1, 0).unsqueeze(-1)
+        first = self.initial(embedded[:1, 0].expand(STREAMS, -1, -1))
+        hidden = torch.where(reset, torch.tanh(first), state.streams)
         token = torch.where(reset, self.first_token, state.token)
-        frames, bases = [], []
-        for t, frame in enumerate(embedded):
-            hidden, tokens = self.encode_frame(frame, hidden, seen[t], token)
-            token, base = self.next_token(tokens)
-            frames.append(tokens)
-            bases.append(base)
-        out, joined, pose, trajectory = self.decode(torch.stack(frames, 2), state, reset)
+        hands = torch.where(seen, embedded[1:], self.masks(embedded, seen, hidden, token))
+        x = torch.cat([embedded[:1], hands])
+        states = self.gru.scan(x, hidden)
+        tokens = self.spatial(x, states)
+        joined = tokens.permute(1, 2, 0, 3).flatten(2)
+        out, pose, trajectory = self.decode(joined, state, reset)
         if self.training:
             out["auxiliary"] = self.auxiliary(joined).unflatten(-1, (JOINTS, 9))
             if self.mask_tokens is not None:
-                base = torch.stack(bases, 2).flatten(1, 2)
-                forecast = self.mask_tokens.forecasts(base)
-                out["forecast"] = forecast.unflatten(1, visible.shape[:2]).permute(1, 2, 0, 3)
-        return out, State(hidden, token, pose, trajectory)
+                base = self.mask_tokens.features(tokens.flatten(1, 2))
+                forecast = self.mask_tokens.forecasts(base).unflatten(1, tokens.shape[1:3])
+                out["forecast"] = forecast.permute(1, 2, 0, 3)
+        out = {name: value.transpose(0, 1) for name, value in out.items()}
+        return out, State(states[:, -1], self.next_token(tokens[:, -1]), pose, trajectory)

@@ -2,8 +2,9 @@
 
 import torch
 from torch import nn
+from torch.nn import functional as F
 
-from .model import HANDS, STREAMS, State
+from .model import HANDS, STREAMS
 
 INPUTS = ["features", "visible", "reset", "streams", "token", "pose", "trajectory"]
 OUTPUTS = ["rotation", "root", "contact", "streams_next", "token_next", "pose_next",
@@ -25,11 +26,15 @@ class Step(nn.Module):
         token = reset * model.first_token + (1 - reset) * token
         seen = visible[0, [0, 1, 0, 1]].view(HANDS, 1, 1) > 0.5
         hidden, tokens = model.encode_frame(embedded, hidden, seen, token)
-        token, _ = model.next_token(tokens)
-        state = State(hidden, token, pose, trajectory)
-        out, _, pose, trajectory = model.decode(tokens.unsqueeze(2), state, reset.view(1, 1) > 0.5)
-        return (out["local"][:, 0], out["root"][:, 0], torch.sigmoid(out["contact"][:, 0]),
-                hidden, token, pose, trajectory)
+        joined = tokens.permute(1, 0, 2).flatten(1)
+        first = torch.tanh(model.decoder_initial(joined))
+        x = F.leaky_relu(model.decoder_in(joined)).unsqueeze(0)
+        pose = model.decoder_gru(x, (reset * first + (1 - reset) * pose).unsqueeze(0))[0]
+        path = F.leaky_relu(model.trajectory_in(joined)).unsqueeze(0)
+        trajectory = model.trajectory_gru(path, ((1 - reset) * trajectory).unsqueeze(0))[0]
+        out = model.answer(x[0], pose, trajectory)
+        return (out["local"], out["root"], torch.sigmoid(out["contact"]),
+                hidden, model.next_token(tokens), pose, trajectory)
 
 
 def example_inputs(model):

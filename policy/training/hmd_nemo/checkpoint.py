@@ -33,10 +33,17 @@ def load(path):
     return torch.load(path, map_location="cpu", weights_only=True)
 
 
+def compact(path, state):
+    """The averaged weights alone, in float16: small enough to keep, good to begin again from."""
+    kept = {k: state[k] for k in ("family", "config", "step", "seconds", "best", "arguments")}
+    kept["average"] = {k: v.half() for k, v in state["average"].items()}
+    save(path, kept)
+
+
 def load_model(path, averaged=True):
     """The model of a checkpoint, in evaluation mode, with averaged weights by default."""
     state = load(path)
     model = build_model(state["family"], state["config"])
-    weights = state["average"] if averaged and "average" in state else state["model"]
-    model.load_state_dict({k: v.float() if v.is_floating_point() else v for k, v in weights.items()})
+    weights = state["average"] if averaged else state["model"]
+    model.load_state_dict({name: value.float() for name, value in weights.items()})
     return model.eval()

@@ -90,6 +90,7 @@ def main():
     worst = compare(model, path)
     if worst > TOLERANCE:
         raise SystemExit(f"{path} differs from PyTorch by {worst:.2g}: not the same network")
+    checkpoint.compact(out / "state" / f"{args.name}.pt", state)
     golden.write(model, out / f"{args.name}.golden.json")
     metrics = json.loads(Path(args.metrics).read_text()) if args.metrics else {}
     facts = metadata(model, path, state, metrics)

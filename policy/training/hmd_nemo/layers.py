@@ -31,54 +31,49 @@ class GruScan(torch.autograd.Function):
     @staticmethod
     def forward(ctx, from_input, hidden, weight, bias):
         """from_input (G, T, B, 3H) in gate order r, z, n; hidden (G, B, H). Returns (G, T, B, H)."""
+        groups, frames, batch, _ = from_input.shape
         size = hidden.shape[-1]
-        states, gates, news, hidden_news = [], [], [], []
+        new_buffer = from_input.new_empty
+        out = new_buffer(groups, frames, batch, size)
+        gates = new_buffer(groups, frames, batch, 2 * size)
+        news, hidden_news = torch.empty_like(out), torch.empty_like(out)
         start = hidden
-        for t in range(from_input.shape[1]):
+        for t in range(frames):
             given = from_input[:, t]
             kept = torch.baddbmm(bias, hidden, weight)
-            gate = (given[..., : 2 * size] + kept[..., : 2 * size]).sigmoid_()
-            hidden_new = kept[..., 2 * size :]
-            new = torch.addcmul(given[..., 2 * size :], gate[..., :size], hidden_new).tanh_()
-            hidden = torch.lerp(new, hidden, gate[..., size:])
-            states.append(hidden)
-            gates.append(gate)
-            news.append(new)
-            hidden_news.append(hidden_new)
-        out = torch.stack(states, 1)
-        ctx.save_for_backward(
-            start, weight, out, torch.stack(gates, 1), torch.stack(news, 1),
-            torch.stack(hidden_news, 1),
-        )
+            gate, new = gates[:, t], news[:, t]
+            torch.add(given[..., : 2 * size], kept[..., : 2 * size], out=gate).sigmoid_()
+            hidden_news[:, t] = kept[..., 2 * size :]
+            torch.addcmul(given[..., 2 * size :], gate[..., :size], hidden_news[:, t], out=new)
+            new.tanh_()
+            hidden = torch.lerp(new, hidden, gate[..., size:], out=out[:, t])
+        ctx.save_for_backward(start, weight, out, gates, news, hidden_news)
         return out
 
     @staticmethod
     def backward(ctx, grad):
         start, weight, out, gates, news, hidden_news = ctx.saved_tensors
-        size = start.shape[-1]
+        size, frames = start.shape[-1], out.shape[1]
         reset, keep = gates[..., :size], gates[..., size:]
         before = torch.cat([start.unsqueeze(1), out[:, :-1]], 1)
         new_slope = (1 - keep) * (1 - news * news)
-        slopes = torch.cat([
-            new_slope * hidden_news * reset * (1 - reset),
-            (before - news) * keep * (1 - keep),
-            new_slope * reset,
-        ], -1)
+        # What a unit of the state's gradient gives each gate's sum from the hidden side.
+        kept = out.new_empty(*out.shape[:3], 3, size)
+        torch.mul(new_slope, reset, out=kept[..., 2, :])
+        torch.mul(kept[..., 2, :], hidden_news * (1 - reset), out=kept[..., 0, :])
+        torch.mul((before - news) * keep, 1 - keep, out=kept[..., 1, :])
         transposed = weight.transpose(1, 2).contiguous()
-        arriving, leaving = [], []
+        total = torch.empty_like(out)
         back = torch.zeros_like(start)
-        for t in range(out.shape[1] - 1, -1, -1):
-            total = grad[:, t] + back
-            kept = (slopes[:, t].unflatten(-1, (3, size)) * total.unsqueeze(-2)).flatten(-2)
-            back = torch.baddbmm(total * keep[:, t], kept, transposed)
-            arriving.append(total)
-            leaving.append(kept)
-        total = torch.stack(arriving[::-1], 1)
-        kept = torch.stack(leaving[::-1], 1)
-        given = torch.cat([kept[..., : 2 * size], total * new_slope], -1)
-        flat = kept.flatten(1, 2)
+        for t in range(frames - 1, -1, -1):
+            torch.add(grad[:, t], back, out=total[:, t])
+            kept[:, t] *= total[:, t].unsqueeze(-2)
+            back = torch.baddbmm(total[:, t] * keep[:, t], kept[:, t].flatten(-2), transposed)
+        flat = kept.flatten(-2).flatten(1, 2)
         grad_weight = before.flatten(1, 2).transpose(1, 2) @ flat
-        return given, back, grad_weight, flat.sum(1, keepdim=True)
+        grad_bias = flat.sum(1, keepdim=True)
+        torch.mul(total, new_slope, out=kept[..., 2, :])
+        return kept.flatten(-2), back, grad_weight, grad_bias
 
 
 class GroupedGru(nn.Module):

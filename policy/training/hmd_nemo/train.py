@@ -38,6 +38,7 @@ def arguments():
     parser.add_argument("--sets", default=",".join(stores.TRAIN_SETS))
     parser.add_argument("--cache", default=stores.default_cache())
     parser.add_argument("--out", required=True, help="folder of checkpoints and logs")
+    parser.add_argument("--start", help="checkpoint to begin from where --out has none")
     parser.add_argument("--family", default="hmd_nemo")
     parser.add_argument("--model", default="small")
     parser.add_argument("--fixed-mask", action="store_true", help="ablation without TAMT")
@@ -109,8 +110,8 @@ class Run:
         }
 
     def load_state_dict(self, state):
-        self.model.load_state_dict(state["model"])
-        self.average = {k: v.to(self.device) for k, v in state["average"].items()}
+        self.average = {k: v.to(self.device).float() for k, v in state["average"].items()}
+        self.model.load_state_dict(state.get("model", self.average))
         self.step, self.seconds, self.best = state["step"], state["seconds"], state["best"]
         if "optimizer" in state:
             self.optimizer.load_state_dict(state["optimizer"])
@@ -213,6 +214,9 @@ def save(run, out):
 
 
 def resume(run, out):
+    """Goes on from the folder's last checkpoint, or else begins from `--start`."""
+    if not (out / "last.pt").exists() and run.args.start:
+        run.load_state_dict(checkpoint.load(run.args.start))
     if (out / "last.pt").exists():
         run.load_state_dict(checkpoint.load(out / "last.pt"))
         lanes = out / f"lanes.{run.workers.rank}.pt"

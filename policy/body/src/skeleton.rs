@@ -201,6 +201,9 @@ const PROPORTIONS: [(Joint, [f32; 3]); 13] = [
     (Joint::LeftWrist, [-0.1323, 0.0, 0.0]),
 ];
 
+/// What the means above add up to from toe to head: not quite one, each being a mean of its own.
+const PROPORTIONS_HEIGHT: f32 = 0.9945;
+
 /// Height of the head joint (skull base) over stature in those people.
 const HEAD_JOINT_OVER_STATURE: f32 = 0.823;
 
@@ -208,7 +211,7 @@ impl Skeleton {
     /// A person of average proportions and the given stature (crown of the head, metres).
     #[must_use]
     pub fn of_height(stature: f32) -> Self {
-        let scale = stature * HEAD_JOINT_OVER_STATURE;
+        let scale = stature * HEAD_JOINT_OVER_STATURE / PROPORTIONS_HEIGHT;
         let mut offsets = [Vec3::ZERO; JOINTS];
         for (joint, offset) in PROPORTIONS {
             let offset = Vec3::from_array(offset) * scale;

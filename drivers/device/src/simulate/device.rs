@@ -3,20 +3,53 @@
 use glam::{DQuat, DVec3};
 use posed_signal::Role;
 
-/// Where a frame is.
+/// Where a frame is in another one.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Placement {
-    /// Metres, in the world.
+    /// Metres.
     pub position: DVec3,
-    /// Frame to world, unit.
+    /// Inner frame to outer, unit.
     pub rotation: DQuat,
+}
+
+impl Placement {
+    /// The frame itself.
+    pub const IDENTITY: Self = Self {
+        position: DVec3::ZERO,
+        rotation: DQuat::IDENTITY,
+    };
+
+    /// A point of the inner frame, in the outer one.
+    #[must_use]
+    pub fn point(&self, inner: DVec3) -> DVec3 {
+        self.position + self.rotation * inner
+    }
+
+    /// Where a frame is that is placed in this one.
+    #[must_use]
+    pub fn then(&self, inner: &Self) -> Self {
+        Self {
+            position: self.point(inner.position),
+            rotation: self.rotation * inner.rotation,
+        }
+    }
+
+    /// The outer frame, seen from the inner one.
+    #[must_use]
+    pub fn inverse(&self) -> Self {
+        let rotation = self.rotation.conjugate();
+        Self {
+            position: rotation * -self.position,
+            rotation,
+        }
+    }
 }
 
 /// A motion in continuous time. It has to be twice continuously differentiable: the simulated
 /// IMU measures its derivatives. A closure from seconds to a [`Placement`] is a path.
 pub trait Path: Send {
-    /// Where the frame is, `seconds` after the start of the simulation. Times a little before
-    /// the start and after the end are asked for too.
+    /// Where the frame is in the world, `seconds` after the start of the simulation. Times up to
+    /// a tenth of a second before the start and after the end are asked for too.
     fn at(&self, seconds: f64) -> Placement;
 }
 
@@ -74,5 +107,26 @@ impl Device {
             serial: serial.to_owned(),
             path: Box::new(path),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn placements_compose_and_invert() {
+        let outer = Placement {
+            position: DVec3::new(1.0, 2.0, 3.0),
+            rotation: DQuat::from_rotation_y(0.7),
+        };
+        let inner = Placement {
+            position: DVec3::new(-0.2, 0.1, 0.4),
+            rotation: DQuat::from_rotation_x(-1.1),
+        };
+        let point = DVec3::new(0.3, -0.5, 0.2);
+        let both = outer.then(&inner);
+        assert!((both.point(point) - outer.point(inner.point(point))).length() < 1e-12);
+        assert!((both.inverse().point(both.point(point)) - point).length() < 1e-12);
     }
 }

@@ -1,0 +1,133 @@
+//! Base stations to simulate with, and the file that tells others about them.
+
+use std::fmt::Write;
+
+use glam::{DQuat, DVec3};
+use half::f16;
+
+use crate::lighthouse::base_station::{BaseStation, from_z_up};
+use crate::lighthouse::reproject::PlaneCalibration;
+
+/// Two base stations in opposite corners of a room of 5 by 5 m, 2.3 m up, looking down at its
+/// middle, with deviations of the size that real ones have.
+#[must_use]
+pub fn default_stations() -> Vec<BaseStation> {
+    let plane = |values: [f64; 7]| {
+        // They broadcast 16-bit floats: anything finer would be lost.
+        let [phase, tilt, curve, gibphase, gibmag, ogeephase, ogeemag] =
+            values.map(|value| f16::from_f64(value).to_f64());
+        PlaneCalibration {
+            phase,
+            tilt,
+            curve,
+            gibphase,
+            gibmag,
+            ogeephase,
+            ogeemag,
+        }
+    };
+    let station = |channel, id, x: f64, z: f64, planes: [[f64; 7]; 2]| BaseStation {
+        channel,
+        id,
+        position: DVec3::new(x, 2.3, z),
+        rotation: DQuat::from_rotation_y(x.atan2(z)) * DQuat::from_rotation_x(-25f64.to_radians()),
+        calibration: planes.map(plane),
+    };
+    vec![
+        station(
+            2,
+            0x51a0_0002,
+            -2.4,
+            -2.4,
+            [
+                [0.0, -0.048, 0.12, 2.1, -0.006, 1.9, 0.21],
+                [-0.005, 0.046, 0.21, 2.5, -0.004, 2.8, -0.18],
+            ],
+        ),
+        station(
+            8,
+            0x51a0_0008,
+            2.4,
+            2.4,
+            [
+                [0.0, -0.051, -0.06, 1.8, -0.003, 0.8, -0.15],
+                [-0.007, 0.044, 0.29, 2.4, -0.005, 1.4, 0.24],
+            ],
+        ),
+    ]
+}
+
+/// The stations in the file format that [`crate::lighthouse::base_station::parse_libsurvive`]
+/// reads: libsurvive's, in its Z-up world, with digits enough to lose nothing.
+#[must_use]
+pub fn write_libsurvive(stations: &[BaseStation]) -> String {
+    let mut text = String::from("\"v\":\"0\",\n\"lighthouse-gen\":\"2\"\n");
+    for (index, station) in stations.iter().enumerate() {
+        let turn = from_z_up().conjugate();
+        let position = turn * station.position;
+        let q = turn * station.rotation;
+        let both =
+            |of: fn(&PlaneCalibration) -> f64| numbers(&station.calibration.each_ref().map(of));
+        let pose = [position.x, position.y, position.z, q.w, q.x, q.y, q.z];
+        // Writing into a `String` cannot fail.
+        let _ = write!(
+            text,
+            "\"lighthouse{index}\":{{\n\"index\":\"{index}\",\n\"id\":\"{}\",\n\"mode\":\"{}\",\n\
+             \"pose\":{},\n\"fcalphase\":{},\n\"fcaltilt\":{},\n\"fcalcurve\":{},\n\
+             \"fcalgibpha\":{},\n\"fcalgibmag\":{},\n\"fcalogeephase\":{},\n\
+             \"fcalogeemag\":{},\n\"OOTXSet\":\"1\",\n\"PositionSet\":\"1\"\n}}\n",
+            station.id as i32,
+            station.channel,
+            numbers(&pose),
+            both(|plane| plane.phase),
+            both(|plane| plane.tilt),
+            both(|plane| plane.curve),
+            both(|plane| plane.gibphase),
+            both(|plane| plane.gibmag),
+            both(|plane| plane.ogeephase),
+            both(|plane| plane.ogeemag),
+        );
+    }
+    text
+}
+
+fn numbers(values: &[f64]) -> String {
+    let quoted: Vec<String> = values
+        .iter()
+        .map(|value| format!("\"{value:.12}\""))
+        .collect();
+    format!("[{}]", quoted.join(","))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::lighthouse::base_station::parse_libsurvive;
+
+    #[test]
+    fn the_file_reads_back() {
+        let stations = default_stations();
+        let read = parse_libsurvive(&write_libsurvive(&stations)).unwrap();
+        assert_eq!(read.len(), stations.len());
+        for (read, written) in read.iter().zip(&stations) {
+            assert_eq!((read.channel, read.id), (written.channel, written.id));
+            assert!((read.position - written.position).length() < 1e-9);
+            assert!(read.rotation.angle_between(written.rotation) < 1e-6);
+            for (read, written) in read.calibration.iter().zip(&written.calibration) {
+                assert!((read.curve - written.curve).abs() < 1e-11);
+                assert!((read.ogeephase - written.ogeephase).abs() < 1e-11);
+            }
+        }
+    }
+
+    #[test]
+    fn the_stations_look_down_at_the_room() {
+        for station in default_stations() {
+            let middle = station.to_local(DVec3::new(0.0, 1.0, 0.0));
+            assert!(
+                middle.z < -3.0 && middle.x.abs() < 0.05 && middle.y.abs() < 1.0,
+                "{middle}"
+            );
+        }
+    }
+}

@@ -1,0 +1,118 @@
+//! One simulated device with everything in it, stepped a USB frame at a time.
+
+use super::blueprint::Blueprint;
+use super::clock::DeviceClock;
+use super::device::{Device, Model};
+use super::imu::ImuSource;
+use super::light::{Capsule, Optics};
+use super::options::Options;
+use super::queue::LightQueue;
+use super::random::{Purpose, Random};
+use super::rotor::{Rotation, Rotor};
+use super::startup::{self, Exchange};
+use super::wire::{Cable, Radio, Report};
+use crate::usb::Port;
+
+/// Ticks between two samples of a headset, and of a controller, whose counter shows only every
+/// 256th.
+const HEADSET_INTERVAL: f64 = 47_990.0;
+const CONTROLLER_INTERVAL: f64 = 191_960.0;
+const CONTROLLER_TICK_MASK: u32 = !0xff;
+/// A sample is there for the host this long after it was measured, seconds.
+const SAMPLE_LATENCY_S: f64 = 1e-4;
+/// Light begins this long after the start: a controller's only some time after it was switched
+/// to the second raw mode.
+const CABLE_LIGHT_S: f64 = 0.01;
+const RADIO_LIGHT_S: f64 = 0.3;
+
+enum Link {
+    Cable(Cable),
+    Radio(Radio),
+}
+
+/// A simulated device.
+pub(super) struct Unit {
+    pub(super) device: Device,
+    pub(super) port: Port,
+    clock: DeviceClock,
+    imu: ImuSource,
+    optics: Optics,
+    light: LightQueue,
+    link: Link,
+}
+
+impl Unit {
+    /// The `index`-th device, and what its host exchanges with it first.
+    pub(super) fn new(device: Device, options: &Options, index: usize) -> (Self, Vec<Exchange>) {
+        let seed = options.seed;
+        let stream = |purpose| Random::new(seed, purpose, index);
+        let blueprint = Blueprint::new(device.model, options, index);
+        let exchanges = startup::exchanges(&device, &blueprint);
+        let clock = DeviceClock::new(&mut stream(Purpose::Clock), options.usb.drift_ppm);
+        let (interval, link) = match device.model {
+            Model::Headset => (HEADSET_INTERVAL, Link::Cable(Cable::new())),
+            Model::LeftController | Model::RightController => {
+                let radio = Radio::new(options.usb.radio_loss, stream(Purpose::Radio));
+                (CONTROLLER_INTERVAL, Link::Radio(radio))
+            }
+        };
+        let random = stream(Purpose::Imu);
+        let unit = Self {
+            port: Port {
+                bus: 1,
+                address: 10 + index as u16,
+            },
+            imu: ImuSource::new(&blueprint, options.imu, random, &clock, interval),
+            optics: Optics::new(&blueprint, options.light, stream(Purpose::Light)),
+            light: LightQueue::default(),
+            device,
+            clock,
+            link,
+        };
+        (unit, exchanges)
+    }
+
+    /// A rotation that has just begun.
+    pub(super) fn watch(&mut self, rotor: &Rotor, rotation: &Rotation, obstacles: &[Capsule]) {
+        let from_s = match self.link {
+            Link::Cable(_) => CABLE_LIGHT_S,
+            Link::Radio(_) => RADIO_LIGHT_S,
+        };
+        if rotation.sync_s < from_s {
+            return;
+        }
+        let (path, station) = (&*self.device.path, &rotor.station);
+        let words = self
+            .optics
+            .watch(path, &self.clock, station, rotation, obstacles);
+        self.light.extend(words);
+    }
+
+    /// What the host gets when it asks all endpoints in the frame that begins at `now` (seconds).
+    pub(super) fn frame(&mut self, index: u64, now: f64, reports: &mut Vec<Report>) {
+        // The devices process light, and the radio has its slots, in every second frame.
+        let second = index.is_multiple_of(2);
+        if second {
+            self.light.process(now);
+        }
+        let (path, measured_by) = (&*self.device.path, now - SAMPLE_LATENCY_S);
+        while let Some(mut sample) = self.imu.next(path, &self.clock, measured_by) {
+            match &mut self.link {
+                Link::Cable(cable) => cable.measured(sample),
+                Link::Radio(radio) => {
+                    sample.ticks &= CONTROLLER_TICK_MASK;
+                    radio.measured(&sample, &mut self.light);
+                }
+            }
+        }
+        match &mut self.link {
+            Link::Cable(cable) => cable.poll(&mut self.light, reports),
+            Link::Radio(radio) if second => {
+                let ticks = self.clock.ticks(now) as u64 as u32;
+                radio.send_light(ticks, &mut self.light);
+                radio.poll(reports);
+            }
+            Link::Radio(_) => {}
+        }
+    }
+}

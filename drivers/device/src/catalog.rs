@@ -1,10 +1,53 @@
 //! The one table of devices that posed knows.
 
-use crate::{decode::Decoder, usb::UsbId};
+use std::fmt::Write as _;
+
+use self::pending as lighthouse;
+use crate::{
+    decode::Decoder,
+    usb::{Packet, Transfer, UsbId},
+};
+
+mod pending {
+    //! Stands where the decoders will be.
+    use posed_signal::HostTime;
+
+    use crate::{
+        decode::{Command, DecodeError, Decoder, Emit},
+        usb::Packet,
+    };
+
+    /// Nothing yet.
+    #[derive(Debug, Clone, Default)]
+    pub struct Settings {}
+
+    pub(super) enum Variant {
+        Wired,
+        Watchman,
+        Mainboard,
+    }
+
+    struct Idle;
+
+    impl Decoder for Idle {
+        fn packet(&mut self, _packet: &Packet, _out: &mut dyn Emit) -> Result<(), DecodeError> {
+            Ok(())
+        }
+
+        fn tick(&mut self, _now: HostTime, _commands: &mut Vec<Command>) {}
+    }
+
+    pub(super) fn decoder(_variant: Variant, _settings: &Settings) -> Box<dyn Decoder> {
+        Box::new(Idle)
+    }
+}
 
 /// What the decoders are told when they are made.
 #[derive(Debug, Clone, Default)]
-pub struct Settings {}
+pub struct Settings {
+    /// For SteamVR Tracking devices.
+    pub lighthouse: lighthouse::Settings,
+}
 
 /// How a device is reached live.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -24,6 +67,17 @@ pub struct Interface {
     pub endpoint: u8,
 }
 
+/// A report that no other device sends.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Shape {
+    /// Interrupt IN endpoint.
+    pub endpoint: u8,
+    /// Report id.
+    pub report: u8,
+    /// Length, report id included.
+    pub bytes: usize,
+}
+
 /// A device that posed knows.
 pub struct Entry {
     /// For people.
@@ -34,12 +88,96 @@ pub struct Entry {
     pub access: Access,
     /// The interfaces that are read.
     pub interfaces: &'static [Interface],
+    /// What it is told by in captures that do not say which devices they hold.
+    pub shapes: &'static [Shape],
     /// Makes its decoder.
     pub make: fn(&Settings) -> Box<dyn Decoder>,
 }
 
+/// Valve's vendor id.
+const VALVE: u16 = 0x28de;
+/// HTC's vendor id.
+const HTC: u16 = 0x0bb4;
+
+const fn interface(number: u8, endpoint: u8) -> Interface {
+    Interface { number, endpoint }
+}
+
+const fn shape(endpoint: u8, report: u8, bytes: usize) -> Shape {
+    Shape {
+        endpoint,
+        report,
+        bytes,
+    }
+}
+
 /// Every device that posed knows.
-pub static CATALOG: &[Entry] = &[];
+pub static CATALOG: &[Entry] = &[
+    Entry {
+        name: "HTC Vive headset",
+        ids: &[UsbId::new(VALVE, 0x2000)],
+        access: Access::Hidraw,
+        interfaces: &[interface(0, 0x81), interface(1, 0x82)],
+        shapes: &[shape(0x82, 0x25, 64)],
+        make: wired,
+    },
+    Entry {
+        name: "Valve Index headset, or Index controller or Vive tracker (2018) on a cable",
+        ids: &[VALVE_WIRED],
+        access: Access::Hidraw,
+        interfaces: &[interface(0, 0x81), interface(1, 0x83), interface(2, 0x84)],
+        shapes: &[
+            shape(0x83, 0x25, 64),
+            shape(0x83, 0x27, 59),
+            shape(0x83, 0x28, 64),
+        ],
+        make: wired,
+    },
+    Entry {
+        name: "Vive controller on a cable",
+        ids: &[UsbId::new(VALVE, 0x2012)],
+        access: Access::Hidraw,
+        interfaces: &[interface(0, 0x81), interface(1, 0x82), interface(2, 0x83)],
+        shapes: &[shape(0x82, 0x21, 58)],
+        make: wired,
+    },
+    Entry {
+        name: "Vive tracker on a cable",
+        ids: &[UsbId::new(VALVE, 0x2022)],
+        access: Access::Hidraw,
+        interfaces: &[interface(0, 0x81), interface(1, 0x82), interface(2, 0x83)],
+        shapes: &[],
+        make: wired,
+    },
+    Entry {
+        name: "Watchman radio (Vive and Index controllers, trackers)",
+        ids: &[UsbId::new(VALVE, 0x2101), UsbId::new(VALVE, 0x2102)],
+        access: Access::Hidraw,
+        interfaces: &[interface(0, 0x81)],
+        shapes: &[shape(0x81, 0x23, 30), shape(0x81, 0x24, 59)],
+        make: |settings| lighthouse::decoder(lighthouse::Variant::Watchman, &settings.lighthouse),
+    },
+    Entry {
+        name: "HTC Vive or Vive Pro mainboard",
+        ids: &[UsbId::new(HTC, 0x2c87), UsbId::new(HTC, 0x030e)],
+        access: Access::Hidraw,
+        interfaces: &[interface(0, 0x81)],
+        shapes: &[shape(0x81, 0x03, 64)],
+        make: |settings| lighthouse::decoder(lighthouse::Variant::Mainboard, &settings.lighthouse),
+    },
+];
+
+/// Answers for every wired device of SteamVR Tracking while nothing but inertial reports came.
+const VALVE_WIRED: UsbId = UsbId::new(VALVE, 0x2300);
+/// The inertial report that all of them send.
+const INERTIAL: Shape = shape(0x81, 0x20, 52);
+/// So many inertial reports without a report that tells more, and the device counts as
+/// [`VALVE_WIRED`].
+const INERTIAL_REPORTS: u32 = 100;
+
+fn wired(settings: &Settings) -> Box<dyn Decoder> {
+    lighthouse::decoder(lighthouse::Variant::Wired, &settings.lighthouse)
+}
 
 /// The entry of a device.
 #[must_use]
@@ -47,9 +185,78 @@ pub fn find(id: UsbId) -> Option<&'static Entry> {
     CATALOG.iter().find(|entry| entry.ids.contains(&id))
 }
 
+/// The entry that a device of unknown ids belongs to, told by a report. `inertial_reports` counts
+/// those that several devices have in common; it begins at 0 for each device.
+#[must_use]
+pub fn recognise(packet: &Packet, inertial_reports: &mut u32) -> Option<&'static Entry> {
+    if packet.transfer != Transfer::Interrupt || !packet.is_input() {
+        return None;
+    }
+    let report = *packet.data.first()?;
+    let seen = shape(packet.endpoint, report, packet.data.len());
+    *inertial_reports += u32::from(seen == INERTIAL);
+    if *inertial_reports == INERTIAL_REPORTS {
+        return find(VALVE_WIRED);
+    }
+    CATALOG.iter().find(|entry| entry.shapes.contains(&seen))
+}
+
 /// The udev rules that let the user at the machine's seat use these devices
-/// (`systemd/70-posed.rules`).
+/// (`systemd/70-posed.rules`): the hidraw nodes, and the USB device itself for libusb.
 #[must_use]
 pub fn udev_rules() -> String {
-    String::new()
+    let mut rules = String::from(
+        "# Devices that posed reads, for the user at the machine's seat (uaccess).\n\
+         # Made from the device catalogue, drivers/device/src/catalog.rs; never edited by hand.\n",
+    );
+    for entry in CATALOG {
+        let _ = write!(rules, "\n# {}\n", entry.name);
+        for UsbId { vendor, product } in entry.ids {
+            let ids = format!("{vendor:04x}\", ATTRS{{idProduct}}==\"{product:04x}");
+            let _ = writeln!(
+                rules,
+                "KERNEL==\"hidraw*\", SUBSYSTEM==\"hidraw\", ATTRS{{idVendor}}==\"{ids}\", \
+                 MODE=\"0660\", TAG+=\"uaccess\""
+            );
+            let ids = format!("{vendor:04x}\", ATTR{{idProduct}}==\"{product:04x}");
+            let _ = writeln!(
+                rules,
+                "SUBSYSTEM==\"usb\", ENV{{DEVTYPE}}==\"usb_device\", ATTR{{idVendor}}==\"{ids}\", \
+                 MODE=\"0660\", TAG+=\"uaccess\""
+            );
+        }
+    }
+    rules
+}
+
+#[cfg(test)]
+mod tests {
+    use std::{collections::BTreeSet, fs, path::Path};
+
+    use super::*;
+
+    #[test]
+    fn no_two_entries_claim_the_same() {
+        let ids: Vec<_> = CATALOG.iter().flat_map(|entry| entry.ids).collect();
+        assert_eq!(ids.iter().collect::<BTreeSet<_>>().len(), ids.len());
+        let shapes: Vec<_> = CATALOG.iter().flat_map(|entry| entry.shapes).collect();
+        for (index, shape) in shapes.iter().enumerate() {
+            assert!(
+                !shapes[..index].contains(shape),
+                "{shape:?} is claimed twice"
+            );
+        }
+    }
+
+    #[test]
+    fn the_udev_rules_are_those_of_the_catalogue() {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../systemd/70-posed.rules");
+        let file = fs::read_to_string(&path).unwrap_or_default();
+        assert!(
+            file == udev_rules(),
+            "{} is stale; it has to be:\n{}",
+            path.display(),
+            udev_rules()
+        );
+    }
 }

@@ -2,4 +2,12 @@
 //! planes of base stations.
 
 pub mod base_station;
+mod blob;
+mod input;
+pub mod inspect;
+pub mod model;
+mod radio;
+pub mod reader;
 pub mod reproject;
+pub mod rotor;
+pub mod wire;

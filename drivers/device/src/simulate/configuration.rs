@@ -15,9 +15,9 @@ const CHUNK: usize = 62;
 /// The configuration in Valve's layout.
 pub(super) fn document(model: Model, serial: &str, blueprint: &Blueprint) -> Value {
     let (class, name, role) = match model {
-        Model::Headset => ("hmd", "Simulated Index HMD", None),
-        Model::LeftController => ("controller", "Simulated Index Left", Some("left_hand")),
-        Model::RightController => ("controller", "Simulated Index Right", Some("right_hand")),
+        Model::Headset => ("hmd", "Utah MP", None),
+        Model::LeftController => ("controller", "Knuckles Left", Some("left_hand")),
+        Model::RightController => ("controller", "Knuckles Right", Some("right_hand")),
     };
     let column = |of: fn(&Sensor) -> DVec3| {
         let rows = blueprint.sensors.iter().map(|sensor| numbers(of(sensor)));
@@ -44,7 +44,7 @@ pub(super) fn document(model: Model, serial: &str, blueprint: &Blueprint) -> Val
             "modelNormals": column(|sensor| sensor.normal),
             "modelPoints": column(|sensor| sensor.claimed),
         },
-        "manufacturer": "posed",
+        "manufacturer": "posed simulator",
         "model_number": name,
         "revision": 1,
     });

@@ -252,3 +252,6 @@ fn truth(device: &Device, start: HostTime, since_start: u64) -> Truth {
         rotation: placement.rotation.to_array(),
     }
 }
+
+#[cfg(test)]
+mod tests;

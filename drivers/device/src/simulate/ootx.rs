@@ -62,8 +62,8 @@ fn payload(station: &BaseStation) -> Vec<u8> {
 
 #[cfg(test)]
 mod tests {
-    use crate::simulate::default_stations;
     use super::*;
+    use crate::simulate::default_stations;
 
     #[test]
     fn a_frame_is_as_long_as_the_real_ones() {
@@ -98,7 +98,7 @@ mod tests {
         assert_eq!(bytes[2..45], payload(&station));
         let tilt = f16::from_le_bytes([bytes[12], bytes[13]]).to_f64();
         assert_eq!(tilt, station.calibration[0].tilt);
-        let gravity = bytes[20] as i8;
+        let gravity = bytes[23] as i8;
         assert!(
             (100..127).contains(&gravity),
             "looks down a little: {gravity}"

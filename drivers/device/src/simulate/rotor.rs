@@ -47,6 +47,12 @@ impl Rotor {
         }
     }
 
+    /// How long a turn takes in the mean, seconds.
+    #[cfg(test)]
+    pub(super) fn mean_period_s(&self) -> f64 {
+        self.period_s
+    }
+
     /// The next turn, if it has begun by `until` (seconds).
     pub(super) fn next(&mut self, until: f64) -> Option<Rotation> {
         if self.next_s > until {

@@ -34,7 +34,7 @@ enum Link {
 pub(super) struct Unit {
     pub(super) device: Device,
     pub(super) port: Port,
-    clock: DeviceClock,
+    pub(super) clock: DeviceClock,
     imu: ImuSource,
     optics: Optics,
     light: LightQueue,

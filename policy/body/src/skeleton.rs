@@ -142,7 +142,10 @@ impl BodyPose {
     /// The rest pose with the pelvis at `root`.
     #[must_use]
     pub fn rest(root: Vec3) -> Self {
-        Self { root, rotations: [Quat::IDENTITY; JOINTS] }
+        Self {
+            root,
+            rotations: [Quat::IDENTITY; JOINTS],
+        }
     }
 
     /// Whether every number is finite and every rotation unit within 1 %.
@@ -241,10 +244,14 @@ impl Skeleton {
     /// Forward kinematics.
     #[must_use]
     pub fn forward(&self, pose: &BodyPose) -> Joints {
-        let mut joints =
-            Joints { positions: [pose.root; JOINTS], rotations: [pose.rotations[0]; JOINTS] };
+        let mut joints = Joints {
+            positions: [pose.root; JOINTS],
+            rotations: [pose.rotations[0]; JOINTS],
+        };
         for index in 1..JOINTS {
-            let Some(parent) = PARENTS[index] else { continue };
+            let Some(parent) = PARENTS[index] else {
+                continue;
+            };
             let turn = joints.rotations[parent];
             joints.rotations[index] = turn * pose.rotations[index];
             joints.positions[index] = joints.positions[parent] + turn * self.offsets[index];
@@ -272,13 +279,20 @@ mod tests {
         let skeleton = Skeleton::of_height(1.75);
         let joints = skeleton.forward(&BodyPose::rest(Vec3::ZERO));
         assert!(joints.position(Joint::LeftWrist).x < -0.5, "left is at -X");
-        assert!(joints.position(Joint::LeftFoot).z < -0.1, "toes point to -Z");
+        assert!(
+            joints.position(Joint::LeftFoot).z < -0.1,
+            "toes point to -Z"
+        );
         assert!(joints.position(Joint::Head).y > 0.3);
         assert!((skeleton.stature() - 1.75).abs() < 1e-4);
         for (index, joint) in Joint::ALL.into_iter().enumerate() {
             if joint.name().starts_with("right_") {
                 let mirrored = joints.positions[index - 1] * Vec3::new(-1.0, 1.0, 1.0);
-                assert!((mirrored - joints.positions[index]).length() < 1e-6, "{}", joint.name());
+                assert!(
+                    (mirrored - joints.positions[index]).length() < 1e-6,
+                    "{}",
+                    joint.name()
+                );
             }
         }
     }

@@ -58,15 +58,6 @@ pub enum Access {
     Usb,
 }
 
-/// An interface that is read.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Interface {
-    /// `bInterfaceNumber`.
-    pub number: u8,
-    /// Its interrupt IN endpoint.
-    pub endpoint: u8,
-}
-
 /// A report that no other device sends.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Shape {
@@ -86,8 +77,8 @@ pub struct Entry {
     pub ids: &'static [UsbId],
     /// How it is reached live.
     pub access: Access,
-    /// The interfaces that are read.
-    pub interfaces: &'static [Interface],
+    /// The interrupt IN endpoints that are read.
+    pub endpoints: &'static [u8],
     /// What it is told by in captures that do not say which devices they hold.
     pub shapes: &'static [Shape],
     /// Makes its decoder.
@@ -98,10 +89,6 @@ pub struct Entry {
 const VALVE: u16 = 0x28de;
 /// HTC's vendor id.
 const HTC: u16 = 0x0bb4;
-
-const fn interface(number: u8, endpoint: u8) -> Interface {
-    Interface { number, endpoint }
-}
 
 const fn shape(endpoint: u8, report: u8, bytes: usize) -> Shape {
     Shape {
@@ -117,7 +104,7 @@ pub static CATALOG: &[Entry] = &[
         name: "HTC Vive headset",
         ids: &[UsbId::new(VALVE, 0x2000)],
         access: Access::Hidraw,
-        interfaces: &[interface(0, 0x81), interface(1, 0x82)],
+        endpoints: &[0x81, 0x82],
         shapes: &[shape(0x82, 0x25, 64)],
         make: wired,
     },
@@ -125,7 +112,7 @@ pub static CATALOG: &[Entry] = &[
         name: "Valve Index headset, or Index controller or Vive tracker (2018) on a cable",
         ids: &[VALVE_WIRED],
         access: Access::Hidraw,
-        interfaces: &[interface(0, 0x81), interface(1, 0x83), interface(2, 0x84)],
+        endpoints: &[0x81, 0x83, 0x84],
         shapes: &[
             shape(0x83, 0x25, 64),
             shape(0x83, 0x27, 59),
@@ -137,7 +124,7 @@ pub static CATALOG: &[Entry] = &[
         name: "Vive controller on a cable",
         ids: &[UsbId::new(VALVE, 0x2012)],
         access: Access::Hidraw,
-        interfaces: &[interface(0, 0x81), interface(1, 0x82), interface(2, 0x83)],
+        endpoints: &[0x81, 0x82, 0x83],
         shapes: &[shape(0x82, 0x21, 58)],
         make: wired,
     },
@@ -145,7 +132,7 @@ pub static CATALOG: &[Entry] = &[
         name: "Vive tracker on a cable",
         ids: &[UsbId::new(VALVE, 0x2022)],
         access: Access::Hidraw,
-        interfaces: &[interface(0, 0x81), interface(1, 0x82), interface(2, 0x83)],
+        endpoints: &[0x81, 0x82, 0x83],
         shapes: &[],
         make: wired,
     },
@@ -153,7 +140,7 @@ pub static CATALOG: &[Entry] = &[
         name: "Watchman radio (Vive and Index controllers, trackers)",
         ids: &[UsbId::new(VALVE, 0x2101), UsbId::new(VALVE, 0x2102)],
         access: Access::Hidraw,
-        interfaces: &[interface(0, 0x81)],
+        endpoints: &[0x81],
         shapes: &[shape(0x81, 0x23, 30), shape(0x81, 0x24, 59)],
         make: |settings| lighthouse::decoder(lighthouse::Variant::Watchman, &settings.lighthouse),
     },
@@ -161,7 +148,7 @@ pub static CATALOG: &[Entry] = &[
         name: "HTC Vive or Vive Pro mainboard",
         ids: &[UsbId::new(HTC, 0x2c87), UsbId::new(HTC, 0x030e)],
         access: Access::Hidraw,
-        interfaces: &[interface(0, 0x81)],
+        endpoints: &[0x81],
         shapes: &[shape(0x81, 0x03, 64)],
         make: |settings| lighthouse::decoder(lighthouse::Variant::Mainboard, &settings.lighthouse),
     },

@@ -16,6 +16,7 @@ import torch
 from posed_mocap.rotations import rotvec_to_quat
 from posed_mocap.skeleton import JOINTS, MIRROR
 
+from .features import RATE
 from .visibility import random_loss
 
 SET_WEIGHTS = {
@@ -48,6 +49,8 @@ class Chunk:
     """(B, T+1, 2) bool, random loss of the hands."""
     scenario: torch.Tensor
     reset: torch.Tensor
+    rate: float = RATE
+    """Frames per second."""
 
 
 def mirror(quats, root, offsets):
@@ -82,13 +85,18 @@ def play(store, clip, times):
 
 
 class Lanes:
-    """`batch` lanes over a store; `next_chunk` advances all of them by `frames`."""
+    """`batch` lanes over a store; `next_chunk` advances all of them by `frames`.
 
-    def __init__(self, store, batch, frames, seed, augment=True):
+    A `stride` above one skips source frames. Neighbouring frames at 60 Hz teach nearly the same,
+    so the first part of a training sees more motion for its time at 20 or 30 Hz.
+    """
+
+    def __init__(self, store, batch, frames, seed, augment=True, stride=1):
         self.store, self.batch, self.frames, self.augment = store, batch, frames, augment
+        self.stride, self.span = stride, frames * stride
         self.generator = torch.Generator().manual_seed(seed)
         length = (store.start[1:] - store.start[:-1]).double()
-        usable = length > 2 * frames
+        usable = length > 80
         weight = torch.zeros(len(store), dtype=torch.double)
         for name, share in SET_WEIGHTS.items():
             mine = torch.tensor([s == name for s in store.sources]) & usable
@@ -132,7 +140,7 @@ class Lanes:
         speed = torch.where(fast, torch.exp(0.223 * (2 * self._uniform(n) - 1)), torch.ones(n))
         speed = speed.double() if self.augment else torch.ones(n).double()
         lane["speed"][which] = speed
-        room = (self.length[clip] - 3 - speed * self.frames).clamp_min(1)
+        room = (self.length[clip] - 3 - speed * self.span).clamp_min(1)
         lane["place"][which] = torch.floor(self._uniform(n) * room)
         if not self.augment:
             return
@@ -149,7 +157,7 @@ class Lanes:
     def _advance(self):
         """Renews ended lanes; returns which lanes (B, 1) start with a fresh state."""
         lane = self.lane
-        need = lane["place"] + lane["speed"] * self.frames + 2
+        need = lane["place"] + lane["speed"] * self.span + 2
         ended = (need >= self.length[lane["clip"]]).nonzero().squeeze(1)
         reset = torch.zeros(self.batch, dtype=torch.bool)
         if len(ended):
@@ -166,10 +174,10 @@ class Lanes:
         """The next `frames` frames of every lane."""
         lane = self.lane
         reset = self._advance()
-        steps = torch.arange(self.frames + 1, dtype=torch.double)
+        steps = self.stride * torch.arange(self.frames + 1, dtype=torch.double)
         times = lane["place"][:, None] + lane["speed"][:, None] * steps
         quats, root = play(self.store, lane["clip"], times)
-        lane["place"] += lane["speed"] * self.frames
+        lane["place"] += lane["speed"] * self.span
         offsets, root = self._stretched(root)
         flipped = mirror(quats, root, offsets)
         chosen = lane["mirrored"]
@@ -181,7 +189,7 @@ class Lanes:
         lost = random_loss(lane["lost"], self.frames + 1, self.generator)
         lane["lost"] = lost[:, -1]
         return Chunk(quats, root, offsets, height, rotvec_to_quat(lane["turn"]), lost,
-                     lane["scenario"].clone(), reset)
+                     lane["scenario"].clone(), reset, RATE / self.stride)
 
     def _stretched(self, root):
         """Bone offsets with changed proportions; the root path scales with the legs, so that

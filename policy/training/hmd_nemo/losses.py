@@ -10,7 +10,6 @@ from torch.nn import functional as F
 from posed_mocap.rotations import matrix_to_six, yaw_matrix
 from posed_mocap.skeleton import HEAD, forward_kinematics
 
-from .features import RATE
 from .sample import Sample, auxiliary_target, forecast_target
 
 WEIGHTS = {
@@ -28,8 +27,8 @@ def pose_from(local, offsets):
 def last_frames(sample, count):
     """The sample's last `count` frames."""
     kept = {name: value[:, -count:] for name, value in vars(sample).items()
-            if name not in ("height", "offsets")}
-    return Sample(height=sample.height, offsets=sample.offsets, **kept)
+            if name not in ("height", "offsets", "rate")}
+    return Sample(height=sample.height, offsets=sample.offsets, rate=sample.rate, **kept)
 
 
 def losses(out, sample):
@@ -41,12 +40,12 @@ def losses(out, sample):
     world, position = pose_from(out["local"], sample.offsets)
     error = position - sample.positions
     turned = (yaw_matrix(sample.yaw).unsqueeze(2) @ error.unsqueeze(-1)).squeeze(-1)
-    rate_error = (turned[:, 1:] - turned[:, :-1]) * RATE
+    rate_error = (turned[:, 1:] - turned[:, :-1]) * sample.rate
     six_error = out["six"] - matrix_to_six(sample.local)
     named = {
         "rotation": six_error.abs().mean(),
         "velocity": (rate_error.square().sum(-1) + 1e-6).sqrt().mean(),
-        "turning": (six_error[:, 1:] - six_error[:, :-1]).abs().mean() * RATE,
+        "turning": (six_error[:, 1:] - six_error[:, :-1]).abs().mean() * sample.rate,
         "global": (world - sample.globals).abs().mean(),
         "position": (error.square().sum(-1) + 1e-8).sqrt().mean(),
     }

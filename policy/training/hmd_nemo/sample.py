@@ -7,7 +7,7 @@ import torch
 from posed_mocap.rotations import matrix_to_six, quat_to_matrix, yaw_matrix
 from posed_mocap.skeleton import FEET, HEAD, LEFT_WRIST, RIGHT_WRIST, forward_kinematics
 
-from .features import RATE, hide, observe
+from .features import hide, observe
 from .lanes import CONTROLLERS, HEAD_ONLY
 from .visibility import in_view
 
@@ -34,6 +34,7 @@ class Sample:
     contact: torch.Tensor
     height: torch.Tensor
     offsets: torch.Tensor
+    rate: float
 
 
 def hand_visibility(scenario, in_head, lost, height):
@@ -51,14 +52,14 @@ def build(chunk):
     turn = quat_to_matrix(chunk.sensor_turn)[:, None]
     head_r, head_p = world[:, :, HEAD] @ turn[:, :, 0], position[:, :, HEAD]
     hand_r, hand_p = world[:, :, WRISTS] @ turn[:, :, 1:], position[:, :, WRISTS]
-    features, yaw = observe(head_r, head_p, hand_r, hand_p, chunk.height)
+    features, yaw = observe(head_r, head_p, hand_r, hand_p, chunk.height, chunk.rate)
     in_head = (head_r.mT.unsqueeze(2) @ (hand_p - head_p.unsqueeze(2)).unsqueeze(-1)).squeeze(-1)
     seen = hand_visibility(chunk.scenario, in_head, chunk.lost, chunk.height)
     visible, before = seen[:, 1:], seen[:, :-1]
     to_heading = yaw_matrix(yaw).mT.unsqueeze(2)
     globals_ = to_heading @ world[:, 1:]
     relative = (position - head_p.unsqueeze(2))[:, 1:]
-    speed = (position[:, 1:, FEET] - position[:, :-1, FEET]).norm(dim=-1) * RATE
+    speed = (position[:, 1:, FEET] - position[:, :-1, FEET]).norm(dim=-1) * chunk.rate
     return Sample(
         features=hide(features, visible, before),
         hidden_features=features,
@@ -70,6 +71,7 @@ def build(chunk):
         contact=(speed < STILL).float(),
         height=chunk.height,
         offsets=chunk.offsets,
+        rate=chunk.rate,
     )
 
 

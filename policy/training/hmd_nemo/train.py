@@ -44,6 +44,7 @@ def arguments():
     parser.add_argument("--fixed-mask", action="store_true", help="ablation without TAMT")
     parser.add_argument("--batch", type=int, default=64)
     parser.add_argument("--frames", type=int, default=40)
+    parser.add_argument("--stride", type=int, default=1, help="60 Hz frames per step of the motion")
     parser.add_argument("--rate", type=float, default=1e-3)
     parser.add_argument("--warmup", type=int, default=200)
     parser.add_argument("--steps", type=int, default=1_000_000)
@@ -66,7 +67,10 @@ def learning_rate(args, step):
 
 
 def to_device(sample, device):
-    return Sample(**{name: value.to(device) for name, value in vars(sample).items()})
+    return Sample(**{
+        name: value.to(device) if torch.is_tensor(value) else value
+        for name, value in vars(sample).items()
+    })
 
 
 class Run:
@@ -86,7 +90,8 @@ class Run:
         else:
             store = stores.cached(args.mocap, args.cache, args.sets.split(","), ["train"])
         share = args.batch // workers.count
-        self.lanes = Lanes(store, share, args.frames, args.seed * 1000 + workers.rank)
+        self.lanes = Lanes(store, share, args.frames, args.seed * 1000 + workers.rank,
+                           stride=args.stride)
         model = checkpoint.build_model(args.family, args.model)
         if args.fixed_mask:
             config = {**asdict(model.config), "tamt": False}

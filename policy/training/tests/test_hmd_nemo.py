@@ -112,6 +112,15 @@ def test_lanes_join_up_and_repeat_by_seed():
     assert torch.equal(a.next_chunk().quats, again.next_chunk().quats)
 
 
+def test_stride_skips_frames_and_keeps_speeds():
+    whole = made_up_store()
+    slow = build(Lanes(whole, 8, 20, seed=2, augment=False, stride=3).next_chunk())
+    fast = build(Lanes(whole, 8, 20, seed=2, augment=False).next_chunk())
+    assert slow.rate == 20.0 and fast.rate == 60.0
+    speeds = [s.features[:, :, 0, 12:].norm(dim=-1).mean() for s in (slow, fast)]
+    assert abs(speeds[0] / speeds[1] - 1) < 0.1
+
+
 def test_truth_has_no_loss():
     sample = build(Lanes(made_up_store(), 4, 40, seed=1).next_chunk())
     out = {"six": torch.cat([sample.local[..., 0], sample.local[..., 1]], -1),
@@ -155,7 +164,7 @@ def arguments(whole_path, out, **changes):
     values = dict(
         seed=1, store=str(whole_path), mocap=None, device="cpu", batch=4, frames=20,
         family="hmd_nemo", model="tiny", fixed_mask=False, rate=1e-2, warmup=5, steps=100,
-        decay=0, out=str(out), threads=1,
+        decay=0, out=str(out), threads=1, stride=1,
     )
     return SimpleNamespace(**{**values, **changes})
 

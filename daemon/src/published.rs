@@ -32,6 +32,12 @@ pub struct PublishedPose {
 }
 
 impl PublishedPose {
+    /// Whether the pose follows a headset, or is only held.
+    #[must_use]
+    pub fn has_input(&self) -> bool {
+        self.quality > Quality::Held
+    }
+
     /// Whether every number that leaves the daemon with this pose is finite, and every rotation
     /// unit.
     #[must_use]

@@ -1,6 +1,7 @@
 //! From samples and a time to a body pose: the trackers and what they share.
 
 pub mod ik;
+pub mod inference;
 pub mod sensors;
 pub mod tracker;
 

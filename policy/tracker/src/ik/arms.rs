@@ -202,7 +202,7 @@ mod tests {
             let skeleton = Skeleton::of_height(1.75);
             let chest_at = Vec3::new(0.0, 1.2, 0.0);
             let mut elbows = [Vec3::ZERO; 2];
-            for side in 0..2 {
+            for (side, shown) in elbows.iter_mut().enumerate() {
                 let arm = Arm::new(&skeleton, side);
                 let mirror = Vec3::new(-arm.side, 1.0, 1.0);
                 let shoulder = arm.shoulder_at(chest_at, Quat::IDENTITY);
@@ -220,7 +220,7 @@ mod tests {
                     prop_assert!(wrist.distance(place.position) < 1e-3, "{wrist} {place:?}");
                 }
                 prop_assert_eq!(pose.wrist, rotation);
-                elbows[side] = elbow;
+                *shown = elbow;
             }
             let mirrored = elbows[0] * Vec3::new(-1.0, 1.0, 1.0);
             prop_assert!(mirrored.distance(elbows[1]) < 2e-3, "{} {}", elbows[0], elbows[1]);

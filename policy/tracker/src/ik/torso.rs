@@ -181,7 +181,7 @@ fn guess_leans(head_tilt: Vec3, cues: &Cues) -> (Lean, Lean) {
     let pelvis = Lean::limited(0.22 * raised - 1.26 * forward, -0.64 * right);
     let chest = Lean::limited(
         0.31 * pitch + 0.41 * raised - 1.01 * forward,
-        -1.0 * right - 0.33 * left_higher,
+        -right - 0.33 * left_higher,
     );
     (pelvis, chest)
 }

@@ -3,22 +3,18 @@
 //! A [`Network`] is loaded and checked at start; from then on [`Network::run`] works on buffers
 //! that never move. ONNX Runtime itself allocates inside; the Rust side does not.
 
-use std::path::{Path, PathBuf};
-
-use ort::{
-    environment::Environment,
-    memory::Allocator,
-    session::{
-        HasSelectedOutputs, OutputSelector, RunOptions, Session, SessionInputValue,
-        builder::GraphOptimizationLevel,
-    },
-    value::{Outlet, Tensor, TensorElementType, ValueType},
+use std::{
+    ffi::CString,
+    path::{Path, PathBuf},
 };
 
-/// `ort` keeps the handles of this many inputs and outputs on the stack; more would allocate in
-/// every run.
-const INPUTS_MAX: usize = 6;
-const OUTPUTS_MAX: usize = 4;
+use ort::{
+    AsPointer,
+    environment::Environment,
+    memory::Allocator,
+    session::{Session, builder::GraphOptimizationLevel},
+    value::{Outlet, Tensor, TensorElementType, ValueType},
+};
 
 /// Why a network cannot be loaded or run.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -96,9 +92,10 @@ pub struct Port {
 /// A model with `I` inputs and `O` outputs, ready to run on one thread.
 pub struct Network<const I: usize, const O: usize> {
     session: Session,
+    input_names: [CString; I],
     inputs: [Tensor<f32>; I],
-    options: RunOptions<HasSelectedOutputs>,
-    outputs: [Vec<f32>; O],
+    output_names: [CString; O],
+    outputs: [Tensor<f32>; O],
 }
 
 impl<const I: usize, const O: usize> Network<I, O> {
@@ -114,42 +111,19 @@ impl<const I: usize, const O: usize> Network<I, O> {
         inputs: [Port; I],
         outputs: [Port; O],
     ) -> Result<Self, InferenceError> {
-        const {
-            assert!(
-                I <= INPUTS_MAX && O <= OUTPUTS_MAX,
-                "more ports make runs allocate"
-            )
-        };
-        let session = open(runtime, bytes).map_err(|error| InferenceError::Load {
-            model: model.to_owned(),
-            message: error.to_string(),
-        })?;
-        let input_shapes = match_ports(model, "input", session.inputs(), &inputs)?;
-        let output_shapes = match_ports(model, "output", session.outputs(), &outputs)?;
         let failed = |error: ort::Error| InferenceError::Load {
             model: model.to_owned(),
             message: error.to_string(),
         };
-        let mut tensors = Vec::with_capacity(I);
-        for shape in &input_shapes {
-            let zeros = vec![0.0f32; shape.iter().product()];
-            tensors.push(Tensor::from_array((shape.clone(), zeros)).map_err(failed)?);
-        }
-        let mut selector = OutputSelector::no_default();
-        for (port, shape) in outputs.iter().zip(&output_shapes) {
-            let tensor =
-                Tensor::<f32>::new(&Allocator::default(), shape.clone()).map_err(failed)?;
-            selector = selector.with(port.name).preallocate(port.name, tensor);
-        }
-        let buffers = std::array::from_fn(|index| vec![0.0; output_shapes[index].iter().product()]);
-        let Ok(tensors) = <[Tensor<f32>; I]>::try_from(tensors) else {
-            unreachable!("one tensor was made for each input")
-        };
+        let session = open(runtime, bytes).map_err(failed)?;
+        let input_shapes = match_ports(model, "input", session.inputs(), inputs)?;
+        let output_shapes = match_ports(model, "output", session.outputs(), outputs)?;
         Ok(Self {
             session,
-            inputs: tensors,
-            options: RunOptions::new().map_err(failed)?.with_outputs(selector),
-            outputs: buffers,
+            input_names: inputs.map(|port| c_name(&port)),
+            inputs: tensors(input_shapes).map_err(failed)?,
+            output_names: outputs.map(|port| c_name(&port)),
+            outputs: tensors(output_shapes).map_err(failed)?,
         })
     }
 
@@ -161,35 +135,69 @@ impl<const I: usize, const O: usize> Network<I, O> {
     /// The numbers of an output after the last run, row-major; zeros before the first.
     #[must_use]
     pub fn output(&self, index: usize) -> &[f32] {
-        &self.outputs[index]
+        self.outputs[index].extract_tensor().1
     }
 
     /// Copies an output of the last run into an input of the next: the state of a recurrent model.
-    /// Shapes that differ leave the input as it is.
+    /// Where their sizes differ the input stays as it is.
     pub fn feed_back(&mut self, output: usize, input: usize) {
+        let source = self.outputs[output].extract_tensor().1;
         let target = self.inputs[input].extract_tensor_mut().1;
-        if target.len() == self.outputs[output].len() {
-            target.copy_from_slice(&self.outputs[output]);
+        if target.len() == source.len() {
+            target.copy_from_slice(source);
         }
     }
 
-    /// Runs the model once.
+    /// Runs the model once. `ort`'s own call collects its arguments on the heap when there are more
+    /// than a few, so this one goes to the library below it.
     ///
     /// # Errors
-    /// ONNX Runtime refuses; the outputs are then those of the last run that succeeded.
+    /// ONNX Runtime refuses; the outputs are then of no use.
+    #[expect(
+        unsafe_code,
+        reason = "the C function that runs a session has no other interface"
+    )]
     pub fn run(&mut self) -> Result<(), InferenceError> {
-        let failed = |error: ort::Error| InferenceError::Run(error.to_string());
-        let inputs: [SessionInputValue<'_>; I] =
-            std::array::from_fn(|index| SessionInputValue::from(&self.inputs[index]));
-        let results = self
-            .session
-            .run_with_options(inputs, &self.options)
-            .map_err(failed)?;
-        for (index, buffer) in self.outputs.iter_mut().enumerate() {
-            let (_, numbers) = results[index].try_extract_tensor::<f32>().map_err(failed)?;
-            buffer.copy_from_slice(numbers);
-        }
-        Ok(())
+        let input_names = self.input_names.each_ref().map(|name| name.as_ptr());
+        let output_names = self.output_names.each_ref().map(|name| name.as_ptr());
+        let inputs = self.inputs.each_ref().map(AsPointer::ptr);
+        let mut outputs = self.outputs.each_mut().map(AsPointer::ptr_mut);
+        // SAFETY: the names are terminated, there are as many as values, and all live in `self`,
+        // which is borrowed for the call. The outputs exist already, with the shapes that the
+        // model promises, so that the library writes into them and makes none of its own.
+        let status = unsafe {
+            (ort::api().Run)(
+                self.session.ptr_mut(),
+                std::ptr::null(),
+                input_names.as_ptr(),
+                inputs.as_ptr(),
+                I,
+                output_names.as_ptr(),
+                O,
+                outputs.as_mut_ptr(),
+            )
+        };
+        // SAFETY: the status comes from the call above and is given away here.
+        let result = unsafe { ort::Error::<()>::result_from_status(status) };
+        result.map_err(|error| InferenceError::Run(error.to_string()))
+    }
+}
+
+fn c_name(port: &Port) -> CString {
+    CString::new(port.name).unwrap_or_default()
+}
+
+/// One tensor of zeros for each shape.
+fn tensors<const N: usize>(shapes: [Vec<usize>; N]) -> Result<[Tensor<f32>; N], ort::Error> {
+    let mut made = Vec::with_capacity(N);
+    for shape in shapes {
+        let mut tensor = Tensor::<f32>::new(&Allocator::default(), shape)?;
+        tensor.extract_tensor_mut().1.fill(0.0);
+        made.push(tensor);
+    }
+    match <[Tensor<f32>; N]>::try_from(made) {
+        Ok(tensors) => Ok(tensors),
+        Err(_) => unreachable!("one tensor was made for each shape"),
     }
 }
 
@@ -206,12 +214,12 @@ fn open(runtime: &Runtime, bytes: &[u8]) -> Result<Session, ort::Error> {
 }
 
 /// The shapes of `wanted` in their order.
-fn match_ports(
+fn match_ports<const N: usize>(
     model: &str,
     kind: &str,
     found: &[Outlet],
-    wanted: &[Port],
-) -> Result<Vec<Vec<usize>>, InferenceError> {
+    wanted: [Port; N],
+) -> Result<[Vec<usize>; N], InferenceError> {
     let mismatch = |name: &str, wanted: String, found: String| InferenceError::Port {
         model: model.to_owned(),
         port: format!("{kind} `{name}`"),
@@ -224,8 +232,8 @@ fn match_ports(
             return Err(mismatch(outlet.name(), "no such one".to_owned(), says));
         }
     }
-    let mut shapes = Vec::with_capacity(wanted.len());
-    for port in wanted {
+    let mut shapes = [const { Vec::new() }; N];
+    for (slot, port) in shapes.iter_mut().zip(wanted) {
         let described = describe(port.shape);
         let Some(outlet) = found.iter().find(|outlet| outlet.name() == port.name) else {
             return Err(mismatch(port.name, described, "missing".to_owned()));
@@ -233,7 +241,7 @@ fn match_ports(
         let Some(shape) = fixed_shape(outlet.dtype(), port.shape) else {
             return Err(mismatch(port.name, described, outlet.dtype().to_string()));
         };
-        shapes.push(shape);
+        *slot = shape;
     }
     Ok(shapes)
 }

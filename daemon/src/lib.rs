@@ -1,5 +1,13 @@
 //! The daemon: configuration, the tracker thread, publishing and the services that hand poses out.
 
+pub mod assemble;
+pub mod cli;
 pub mod clock;
+pub mod commands;
 pub mod config;
+pub mod grpc;
+pub mod output;
+pub mod pipeline;
 pub mod published;
+pub mod serving;
+pub mod simulated;

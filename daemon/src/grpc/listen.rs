@@ -101,6 +101,12 @@ impl Listeners {
         }
     }
 
+    /// Where clients can connect, for people.
+    #[must_use]
+    pub fn names(&self) -> &[String] {
+        &self.names
+    }
+
     /// Binds a Unix socket with mode 0600. A socket file that nobody listens on any more is
     /// replaced. Folders that are missing are made with mode 0700.
     ///

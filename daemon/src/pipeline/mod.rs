@@ -1,6 +1,7 @@
 //! From device samples to published poses: the tracker loop and those who drive it.
 
 pub mod latency;
+pub mod live;
 pub mod replay;
 pub mod source;
 pub mod tracking;

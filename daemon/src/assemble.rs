@@ -1,0 +1,79 @@
+//! Where the parts are put together: one function for live, replay and tests.
+
+use posed_device::{
+    rig::{self, Rig},
+    transport::Transport,
+};
+use posed_signal::{
+    latest::latest,
+    ring::{Producer, ring},
+};
+use posed_tracker::{Tracker, TrackerKind, Wearer};
+
+use crate::pipeline::{
+    source::Source,
+    tracking::{Inputs, Request, Setup, TrackerLoop},
+};
+
+/// Requests that may wait for the tracker's next tick.
+const REQUESTS_MAX: usize = 64;
+
+/// What the parts are told.
+pub struct Options {
+    /// For the devices.
+    pub rig: rig::Settings,
+    /// Trackers that can be chosen besides `ik`.
+    pub trackers: Vec<Box<dyn Tracker>>,
+    /// The tracker to begin with.
+    pub tracker: TrackerKind,
+    /// The wearer's height, metres.
+    pub height: f32,
+    /// How far beyond the tick poses are made for, ns.
+    pub horizon_ns: i64,
+}
+
+impl Default for Options {
+    fn default() -> Self {
+        Self {
+            rig: rig::Settings::default(),
+            trackers: Vec::new(),
+            tracker: TrackerKind::Ik,
+            height: 1.75,
+            horizon_ns: 0,
+        }
+    }
+}
+
+/// The parts, joined.
+pub struct Assembly {
+    /// Transport and rig: one thread's.
+    pub source: Source,
+    /// The tracker loop: another's.
+    pub tracker: TrackerLoop,
+    /// The way of requests to the tracker.
+    pub requests: Producer<Request>,
+}
+
+/// Joins a transport, a rig and a tracker loop.
+#[must_use]
+pub fn assemble(transport: Box<dyn Transport>, options: Options) -> Assembly {
+    let (rig, rings) = Rig::new(options.rig);
+    let (roles_writer, roles) = latest();
+    let (requests, requests_in) = ring(REQUESTS_MAX);
+    let setup = Setup {
+        trackers: options.trackers,
+        choice: options.tracker,
+        wearer: Wearer::of_height(options.height),
+        horizon_ns: options.horizon_ns,
+    };
+    let inputs = Inputs {
+        rings,
+        roles,
+        requests: requests_in,
+    };
+    Assembly {
+        source: Source::new(transport, rig, roles_writer),
+        tracker: TrackerLoop::new(inputs, setup),
+        requests,
+    }
+}

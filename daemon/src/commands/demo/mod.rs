@@ -1,0 +1,3 @@
+//! `posed demo`.
+
+pub mod figure;

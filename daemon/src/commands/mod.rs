@@ -1,0 +1,52 @@
+//! The commands of the command line, one file each.
+
+pub mod demo;
+pub mod inspect;
+pub mod list;
+mod live;
+pub mod record;
+pub mod replay;
+pub mod run;
+mod settings;
+pub mod simulate;
+mod summary;
+
+use std::{io, path::Path};
+
+pub use summary::{DeviceReport, Report, Tally};
+
+use crate::config::ConfigError;
+
+/// Why a command failed, in words for the person who gave it.
+#[derive(Debug, thiserror::Error)]
+pub enum CommandError {
+    /// About the configuration.
+    #[error(transparent)]
+    Config(#[from] ConfigError),
+    /// About a file.
+    #[error("{path}: {error}")]
+    File {
+        /// Its name.
+        path: String,
+        /// What went wrong.
+        error: io::Error,
+    },
+    /// About the server.
+    #[error(transparent)]
+    Serving(#[from] crate::serving::ServingError),
+    /// About the content of an input.
+    #[error("{0}")]
+    Input(String),
+    /// About anything else that the operating system refused.
+    #[error("{0}")]
+    Io(#[from] io::Error),
+}
+
+impl CommandError {
+    fn file(path: &Path, error: io::Error) -> Self {
+        Self::File {
+            path: path.display().to_string(),
+            error,
+        }
+    }
+}

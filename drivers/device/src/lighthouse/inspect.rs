@@ -240,14 +240,15 @@ impl Clock {
             self.minima.clear();
         }
         self.last = Some((device, offset));
+        let full = self.minima.len() >= CLOCK_SECONDS_MAX;
         match self.minima.last_mut() {
             Some(newest) if device.floor() <= newest.0.floor() => {
                 if offset < newest.1 {
                     *newest = (device, offset);
                 }
             }
-            _ if self.minima.len() < CLOCK_SECONDS_MAX => self.minima.push((device, offset)),
-            _ => {}
+            _ if full => {}
+            _ => self.minima.push((device, offset)),
         }
     }
 

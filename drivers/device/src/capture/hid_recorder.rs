@@ -246,9 +246,10 @@ fn parse_time(text: &str) -> Option<HostTime> {
     Some(HostTime(ns))
 }
 
+/// Two digits a byte: fewer show that the line is cut off.
 fn bytes(hex: &str) -> Option<Vec<u8>> {
     let pair = |word: &str| match word.len() {
-        1 | 2 => u8::from_str_radix(word, 16).ok(),
+        2 => u8::from_str_radix(word, 16).ok(),
         _ => None,
     };
     hex.split_ascii_whitespace().map(pair).collect()

@@ -11,6 +11,7 @@ pub mod identity;
 mod pairing;
 mod reader;
 mod records;
+mod report;
 mod source;
 mod usbmon;
 mod usbmon_writer;
@@ -19,8 +20,9 @@ mod usbpcap;
 pub use hid_recorder::LINE_BYTES_MAX;
 pub use hid_recorder_writer::HidRecorderWriter;
 pub use pairing::PENDING_CONTROLS_MAX;
-pub use reader::{CaptureError, CaptureReader, Item, Statistics, Warning, open};
+pub use reader::{CaptureReader, Item, open};
 pub use records::RECORD_BYTES_MAX;
+pub use report::{CaptureError, Statistics, Warning};
 pub use usbmon_writer::{UsbmonOptions, UsbmonWriter};
 
 /// Reads `data` as a capture to its end: the entry point of fuzz targets. Returns what was read,
@@ -39,3 +41,6 @@ pub fn fuzz_entry(data: &[u8]) -> Statistics {
     }
     reader.statistics()
 }
+
+#[cfg(test)]
+mod tests;

@@ -205,7 +205,7 @@ impl Context {
             }
             PcapBlockOwned::NG(Block::InterfaceDescription(description)) => {
                 let link = Link::new(description.linktype.0, self.big_endian);
-                let ticks_per_second = description.ts_resolution().unwrap_or(1_000_000).max(1);
+                let ticks_per_second = ticks_per_second(description.if_tsresol);
                 let offset_s = description.if_tsoffset;
                 if self.interfaces.len() < INTERFACES_MAX {
                     self.interfaces.push(Interface {
@@ -247,15 +247,26 @@ impl Context {
             return Step::Warning(Warning::NoInterface);
         };
         self.last = at.unwrap_or(self.last);
-        match (interface.link, turn.take()) {
-            (Some(link), Some(turn)) => Step::Record(turn(Record {
-                at: self.last,
-                link,
-                data,
-            })),
-            _ => Step::Other,
-        }
+        let Some(link) = interface.link else {
+            return Step::Other;
+        };
+        let Some(turn) = turn.take() else {
+            return Step::Other;
+        };
+        Step::Record(turn(Record {
+            at: self.last,
+            link,
+            data,
+        }))
     }
+}
+
+/// From the option `if_tsresol`: a negative power of ten, or of two with the top bit set. One out
+/// of range counts as absent, which means microseconds.
+fn ticks_per_second(resolution: u8) -> u64 {
+    let exponent = u32::from(resolution & 0x7f);
+    let base: u64 = if resolution & 0x80 == 0 { 10 } else { 2 };
+    base.checked_pow(exponent).unwrap_or(1_000_000)
 }
 
 fn unknown_link<T>(link: i32) -> Step<T> {

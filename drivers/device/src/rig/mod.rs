@@ -12,7 +12,7 @@ use posed_signal::{
 
 use self::{link::Link, table::Table};
 use crate::{
-    catalog,
+    capture, catalog,
     decode::{Command, DecodeError, Identity},
     usb::{Packet, Port, UsbId},
 };
@@ -211,6 +211,34 @@ impl Rig {
     pub fn refused(&self) -> u64 {
         self.table.refused()
     }
+}
+
+/// Replays `data` as a capture into a rig, with a tick for every packet: the entry point of fuzz
+/// targets. Returns the samples that came of it.
+pub fn fuzz_entry(data: &[u8]) -> u64 {
+    let Ok(reader) = capture::open(data) else {
+        return 0;
+    };
+    let (mut rig, mut rings) = Rig::new(Settings {
+        ring_samples: 16,
+        ..Settings::default()
+    });
+    let (mut commands, mut samples) = (Vec::new(), 0);
+    for item in reader {
+        match item {
+            capture::Item::Device(port, id) => rig.attach(port, id),
+            capture::Item::Packet(packet) => {
+                rig.packet(&packet);
+                rig.tick(packet.at, &mut commands);
+                commands.clear();
+            }
+            capture::Item::Warning(_) => {}
+        }
+        for ring in &mut rings {
+            samples += std::iter::from_fn(|| ring.pop()).count() as u64;
+        }
+    }
+    samples
 }
 
 #[cfg(test)]

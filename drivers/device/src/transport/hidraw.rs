@@ -166,7 +166,7 @@ impl Place {
     fn of(path: &CStr) -> Self {
         let path = Path::new(std::ffi::OsStr::from_bytes(path.to_bytes()));
         let name = path.file_name().unwrap_or_default();
-        let link = Path::new("/sys/class/hidraw").join(name).join("device");
+        let link = Path::new("/sys/class/hidraw").join(name);
         let device = fs::canonicalize(link).unwrap_or_default();
         let number = |folder: &Path, file| -> Option<u16> {
             fs::read_to_string(folder.join(file))

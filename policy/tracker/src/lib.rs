@@ -2,6 +2,7 @@
 
 pub mod ik;
 pub mod inference;
+pub mod metrics;
 pub mod sensors;
 pub mod tracker;
 

@@ -113,7 +113,7 @@ impl Hub {
     }
 
     /// A receiver that changes whenever there are new poses to read, and closes after the last.
-    pub(super) fn changes(&self) -> watch::Receiver<()> {
+    pub(crate) fn changes(&self) -> watch::Receiver<()> {
         self.changed.clone()
     }
 

@@ -24,6 +24,7 @@ from .workers import Workers, spawn
 from .evaluate import table
 from .lanes import Lanes
 from .losses import losses, total
+from .optimizer import MuonAdamW
 from .sample import Sample, build
 
 VALIDATION_SETS = ["bandai", "cmu_amc", "cmu_amc2", "cmu_bvh", "cmu_cc"]
@@ -39,6 +40,7 @@ def arguments():
     parser.add_argument("--cache", default=stores.default_cache())
     parser.add_argument("--out", required=True, help="folder of checkpoints and logs")
     parser.add_argument("--start", help="checkpoint to begin from where --out has none")
+    parser.add_argument("--fresh-optimizer", action="store_true", help="forget its moments")
     parser.add_argument("--family", default="hmd_nemo")
     parser.add_argument("--model", default="small")
     parser.add_argument("--fixed-mask", action="store_true", help="ablation without TAMT")
@@ -61,7 +63,7 @@ def arguments():
 
 def learning_rate(args, step):
     """Warm-up, plateau, and a linear decay to zero over the last `decay` steps."""
-    warm = min(1.0, (step + 1) / args.warmup)
+    warm = min(1.0, (step - args.begun + 1) / args.warmup)
     left = (args.steps - step) / args.decay if args.decay else 1.0
     return args.rate * warm * max(0.0, min(1.0, left))
 
@@ -78,6 +80,7 @@ class Run:
 
     def __init__(self, args, workers):
         self.args, self.workers = args, workers
+        args.begun = 0
         torch.manual_seed(args.seed)
         chosen = "cuda" if torch.cuda.is_available() else "cpu"
         self.device = torch.device(chosen if args.device == "auto" else args.device)
@@ -98,9 +101,7 @@ class Run:
             model = checkpoint.build_model(args.family, config)
         self.model = model.to(self.device).train()
         self.average = {k: v.detach().clone() for k, v in self.model.state_dict().items()}
-        self.optimizer = torch.optim.AdamW(
-            self.model.parameters(), lr=args.rate, betas=(0.9, 0.99), weight_decay=0.01, fused=True
-        )
+        self.optimizer = MuonAdamW(self.model.named_parameters(), args.rate)
         self.state = self.model.initial_state(share)
         self.step, self.seconds, self.best = 0, 0.0, float("inf")
 
@@ -118,7 +119,7 @@ class Run:
         self.average = {k: v.to(self.device).float() for k, v in state["average"].items()}
         self.model.load_state_dict(state.get("model", self.average))
         self.step, self.seconds, self.best = state["step"], state["seconds"], state["best"]
-        if "optimizer" in state:
+        if "optimizer" in state and not self.args.fresh_optimizer:
             self.optimizer.load_state_dict(state["optimizer"])
             torch.set_rng_state(state["random"])
 
@@ -237,6 +238,7 @@ def train(workers, args):
     out.mkdir(parents=True, exist_ok=True)
     run, log = Run(args, workers), Log(out)
     resume(run, out)
+    args.begun = run.step if args.fresh_optimizer or args.start else 0
     validation = validation_store(args) if first else None
     stopped = []
     signal.signal(signal.SIGTERM, lambda *_: stopped.append(True))

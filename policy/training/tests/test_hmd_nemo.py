@@ -13,6 +13,7 @@ from hmd_nemo.lanes import CONTROLLERS, FIELD_OF_VIEW, HEAD_ONLY, Lanes, head_he
 from hmd_nemo.losses import losses, total
 from hmd_nemo.metrics import sequence_metrics
 from hmd_nemo.model import CONFIGS, HmdNemo
+from hmd_nemo.optimizer import MuonAdamW, orthogonal
 from hmd_nemo.sample import build, hand_visibility
 from hmd_nemo.train import Run
 from hmd_nemo.visibility import in_view
@@ -163,8 +164,9 @@ def test_full_model_has_the_papers_size():
 def arguments(whole_path, out, **changes):
     values = dict(
         seed=1, store=str(whole_path), mocap=None, device="cpu", batch=4, frames=20,
-        family="hmd_nemo", model="tiny", fixed_mask=False, rate=1e-2, warmup=5, steps=100,
+        family="hmd_nemo", model="tiny", fixed_mask=False, rate=1e-2, steps=100,
         decay=0, out=str(out), threads=1, stride=1,
+        fresh_optimizer=False, warmup=5,
     )
     return SimpleNamespace(**{**values, **changes})
 
@@ -195,6 +197,22 @@ def test_training_learns_and_a_resumed_run_equals_an_unbroken_one(tmp_path):
     second.load_lanes(checkpoint.load(tmp_path / "l.pt"))
     resumed = [second.train_step() for _ in range(12)]
     assert abs(resumed[-1]["loss"] - rows[-1]["loss"]) < 1e-5
+
+
+def test_muon_steps_are_orthogonal_per_gate():
+    matrix = torch.randn(3, 12, 12, generator=torch.Generator().manual_seed(0))
+    values = torch.linalg.svdvals(orthogonal(matrix))
+    assert values.min() > 0.5 and values.max() < 1.4
+    model = HmdNemo(CONFIGS["tiny"])
+    optimizer = MuonAdamW(model.named_parameters(), lr=0.1, weight_decay=0.0)
+    weight = model.decoder_gru.from_hidden.weight
+    before = weight.detach().clone()
+    for parameter in model.parameters():
+        parameter.grad = torch.randn_like(parameter)
+    optimizer.step()
+    for gate in (weight.detach() - before)[0].chunk(3, -1):
+        values = torch.linalg.svdvals(gate / (0.1 * 0.2 * 16**0.5))
+        assert values.min() > 0.3 and values.max() < 1.4
 
 
 def test_fixed_mask_and_baseline_train(tmp_path):

@@ -1,0 +1,261 @@
+//! The decoders behind [`super::decoder`]: packets in, samples in host time out.
+
+use posed_signal::{ClockMap, HostTime, Imu, Pose, PoseHow, Sample};
+
+use super::{
+    Settings, Variant,
+    input::{self, InputState, WiredInput},
+    model::{DeviceModel, ImuRange},
+    motion::ImuSample,
+    reader::{Event, Reader},
+    rotor::Rotor,
+    solve::Sighting,
+    startup::{self, Startup},
+    track::Track,
+    wire::{RawImu, TICKS_PER_SECOND},
+};
+use crate::{
+    decode::{Command, DecodeError, Decoder, Emit},
+    usb::Packet,
+};
+
+/// The one device that hangs on a Lighthouse USB device.
+const UNIT: usize = 0;
+/// Poses come no faster than this, s: a headset's every other inertial sample.
+const POSE_INTERVAL: f64 = 0.0018;
+/// While a device is lost its last pose is repeated no faster than this, s.
+const LOST_INTERVAL: f64 = 0.02;
+/// A step of the device's clock that the host's did not see is a restart, s.
+const CLOCK_STEP: f64 = 0.25;
+
+/// A tracked device, wired or by radio.
+pub(super) struct Device {
+    reader: Reader,
+    events: Vec<Event>,
+    startup: Startup,
+    settings: Settings,
+    range: ImuRange,
+    clock: ClockMap,
+    rotors: [Rotor; 16],
+    unit: Option<Unit>,
+    /// Device and host time of the newest inertial sample, s.
+    newest: Option<(f64, HostTime)>,
+    /// Device time of the newest pose, s.
+    posed: f64,
+}
+
+/// What is there once the configuration is known.
+struct Unit {
+    track: Track,
+    input: InputState,
+}
+
+impl Device {
+    pub(super) fn new(variant: Variant, settings: &Settings) -> Self {
+        Self {
+            reader: Reader::default(),
+            events: Vec::new(),
+            startup: Startup::new(variant),
+            settings: settings.clone(),
+            range: variant.range(),
+            clock: ClockMap::new(TICKS_PER_SECOND),
+            rotors: std::array::from_fn(|channel| Rotor::new(channel as u8)),
+            unit: None,
+            newest: None,
+            posed: f64::NEG_INFINITY,
+        }
+    }
+
+    fn event(
+        &mut self,
+        event: &Event,
+        at: HostTime,
+        out: &mut dyn Emit,
+    ) -> Result<(), DecodeError> {
+        self.startup.event(event, at);
+        match event {
+            Event::Imu { ticks, raw } => self.imu(*ticks, raw, at, out),
+            Event::Sync { channel, ticks, .. } => {
+                if let Some(rotor) = self.rotors.get_mut(usize::from(*channel)) {
+                    rotor.sync(*ticks);
+                }
+            }
+            Event::Sweep {
+                channel,
+                sensor,
+                ticks,
+            } => self.sweep(*channel, *sensor, *ticks),
+            Event::Configuration(text) => return self.configure(text, out),
+            Event::Ranges(gyro, accel) => {
+                self.range = ImuRange::from_codes(*gyro, *accel).unwrap_or(self.range);
+            }
+            Event::Battery(byte) | Event::Wired(WiredInput::Battery(byte)) => {
+                out.sample(UNIT, Sample::Battery(input::battery(*byte, at)));
+            }
+            Event::Radio(input) => {
+                if let Some(unit) = &mut self.unit {
+                    out.sample(UNIT, Sample::Buttons(unit.input.radio(input, at)));
+                }
+            }
+            Event::Wired(input) => {
+                let buttons = self
+                    .unit
+                    .as_mut()
+                    .and_then(|unit| unit.input.wired(input, at));
+                if let Some(buttons) = buttons {
+                    out.sample(UNIT, Sample::Buttons(buttons));
+                }
+            }
+            Event::Off => self.off(at, out),
+            Event::Pulse { .. }
+            | Event::RadioPulses
+            | Event::RawBeams
+            | Event::RadioPacket
+            | Event::ConfigurationProgress => {}
+        }
+        Ok(())
+    }
+
+    fn configure(&mut self, text: &str, out: &mut dyn Emit) -> Result<(), DecodeError> {
+        let model = DeviceModel::from_json(text)?;
+        if self
+            .unit
+            .as_ref()
+            .is_some_and(|unit| unit.track.model().identity == model.identity)
+        {
+            return Ok(());
+        }
+        self.range = model.range;
+        out.identity(UNIT, model.identity);
+        let input = InputState::new(model.controls);
+        let track = Track::new(model, self.settings.base_stations.clone());
+        self.unit = Some(Unit { track, input });
+        Ok(())
+    }
+
+    fn imu(&mut self, ticks: u64, raw: &RawImu, at: HostTime, out: &mut dyn Emit) {
+        let time = ticks as f64 / TICKS_PER_SECOND;
+        if let Some((newest, seen)) = self.newest.replace((time, at)) {
+            let step = time - newest;
+            if step.abs() > CLOCK_STEP && (step - at.since_secs(seen)).abs() > CLOCK_STEP {
+                // The device restarted. The very first sample often stems from before that.
+                self.clock = ClockMap::new(TICKS_PER_SECOND);
+            }
+            if step < 0.0 {
+                self.posed = f64::NEG_INFINITY;
+            }
+        }
+        self.clock.observe(ticks, at);
+        let (Some(unit), Some(stamp)) = (&mut self.unit, self.clock.stamp(ticks)) else {
+            return;
+        };
+        let calibration = &unit.track.model().imu;
+        let sample = ImuSample::new(time, raw, self.range, calibration);
+        unit.track.imu(sample);
+        let (gyro, accel) = unit.track.unbiased(&sample);
+        out.sample(
+            UNIT,
+            Sample::Imu(Imu {
+                at: stamp,
+                accel: accel.as_vec3(),
+                gyro: gyro.as_vec3(),
+            }),
+        );
+        if time - self.posed < POSE_INTERVAL {
+            return;
+        }
+        let Some(found) = unit.track.output() else {
+            return;
+        };
+        if found.how == PoseHow::Lost && time - self.posed < LOST_INTERVAL {
+            return;
+        }
+        self.posed = time;
+        let pose = Pose {
+            at: stamp,
+            position: found.position.as_vec3(),
+            rotation: found.rotation.as_quat(),
+            velocity: found.velocity.as_vec3(),
+            angular_velocity: found.angular_velocity.as_vec3(),
+            residual_rad: found.residual as f32,
+            how: found.how,
+        };
+        if pose.is_sound() {
+            out.sample(UNIT, Sample::Pose(pose));
+        }
+    }
+
+    fn sweep(&mut self, channel: u8, sensor: u8, ticks: f64) {
+        let stations = &self.settings.base_stations;
+        let station = stations
+            .iter()
+            .position(|station| station.channel == channel);
+        let rotor = self.rotors.get(usize::from(channel));
+        let (Some(unit), Some(station), Some(rotor)) = (&mut self.unit, station, rotor) else {
+            return;
+        };
+        if let Some(reading) = rotor.reading(ticks) {
+            unit.track.sighting(Sighting {
+                time: ticks / TICKS_PER_SECOND,
+                station: station as u8,
+                plane: reading.plane,
+                sensor,
+                angle: reading.angle,
+            });
+        }
+    }
+
+    /// The device was switched off: its last pose is the last.
+    fn off(&mut self, at: HostTime, out: &mut dyn Emit) {
+        let Some(unit) = &mut self.unit else { return };
+        if let Some(last) = unit.track.output() {
+            let position = last.position.as_vec3();
+            let rotation = last.rotation.as_quat();
+            let pose = Pose {
+                position,
+                rotation,
+                ..Pose::unknown(at)
+            };
+            if pose.is_sound() {
+                out.sample(UNIT, Sample::Pose(pose));
+            }
+        }
+        unit.track.reset();
+    }
+}
+
+impl Decoder for Device {
+    fn packet(&mut self, packet: &Packet, out: &mut dyn Emit) -> Result<(), DecodeError> {
+        let mut events = std::mem::take(&mut self.events);
+        let mut result = self.reader.packet(packet, &mut events);
+        for event in events.drain(..) {
+            let done = self.event(&event, packet.at, out);
+            result = result.and(done);
+        }
+        self.events = events;
+        result
+    }
+
+    fn tick(&mut self, now: HostTime, commands: &mut Vec<Command>) {
+        self.startup.tick(now, commands);
+    }
+}
+
+/// A Vive's mainboard: it has to be told to power up, and says nothing about tracking.
+#[derive(Debug, Default)]
+pub(super) struct Mainboard {
+    powered: bool,
+}
+
+impl Decoder for Mainboard {
+    fn packet(&mut self, _packet: &Packet, _out: &mut dyn Emit) -> Result<(), DecodeError> {
+        Ok(())
+    }
+
+    fn tick(&mut self, _now: HostTime, commands: &mut Vec<Command>) {
+        if !self.powered {
+            commands.push(startup::power_on());
+            self.powered = true;
+        }
+    }
+}

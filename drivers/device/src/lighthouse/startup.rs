@@ -1,0 +1,223 @@
+//! What a device has to be told before it streams, and how its configuration is asked for. The
+//! reports are those that captures of SteamVR and of libsurvive show.
+
+use posed_signal::{HostTime, time::MILLISECOND_NS};
+
+use super::{Variant, reader::Event, wire::id};
+use crate::decode::Command;
+
+/// Interface that takes the feature reports.
+const INTERFACE: u8 = 0;
+/// A feature report's length, report id included.
+const FEATURE_BYTES: u16 = 64;
+/// Pieces of the configuration asked for at a tick; one holds 62 bytes.
+const PIECES: usize = 24;
+/// A read of the configuration without an answer for this long starts over.
+const READ_PATIENCE_MS: u64 = 500;
+/// Between two attempts to switch the light's mode.
+const SWITCH_INTERVAL_MS: u64 = 2_000;
+
+const ENABLE_LIGHTHOUSE: &[u8] = &[id::MODE, 0, 0, 0, 0];
+const REPORT_ALL: &[u8] = &[id::VERBOSITY, 3, 0, 0, 0];
+const LIGHT_STREAM: &[u8] = &[id::MODE, 1, 0, 0, 0];
+const RADIO_ON: &[u8] = &[
+    id::RADIO_COMMAND,
+    0x96,
+    0x10,
+    0xbe,
+    0x5b,
+    0x32,
+    0x54,
+    0x11,
+    0xcf,
+    0x83,
+    0x75,
+    0x53,
+    0x8a,
+    0x08,
+    0x6a,
+    0x53,
+    0x58,
+    0xd0,
+    0xb1,
+];
+const RADIO_LIGHT_RAW: &[u8] = &[id::RADIO_COMMAND, 0x87, 6, 1, 0, 0, 2, 0, 0];
+const RADIO_PROTOCOL: &[u8] = &[id::RADIO_COMMAND, 0x87, 3, 0, 1, 0];
+const RADIO_LIGHT_STREAM: &[u8] = &[id::RADIO_COMMAND, 0x87, 6, 1, 1, 0, 2, 0, 0];
+
+/// The start of one device.
+#[derive(Debug, Clone)]
+pub(super) struct Startup {
+    variant: Variant,
+    configured: bool,
+    /// The configuration's read goes on.
+    reading: bool,
+    /// Newest sign of life in the read, or its start.
+    read_at: Option<HostTime>,
+    /// The device waits for the light's mode switch, or shows no light at all.
+    wants_switch: bool,
+    switched_at: Option<HostTime>,
+}
+
+impl Startup {
+    pub(super) fn new(variant: Variant) -> Self {
+        Self {
+            variant,
+            configured: false,
+            reading: false,
+            read_at: None,
+            wants_switch: false,
+            switched_at: None,
+        }
+    }
+
+    /// Takes note of what the device said.
+    pub(super) fn event(&mut self, event: &Event, at: HostTime) {
+        match event {
+            Event::ConfigurationProgress => {
+                self.reading = true;
+                self.read_at = Some(at);
+            }
+            Event::Configuration(_) => {
+                self.configured = true;
+                self.reading = false;
+                self.wants_switch |= self.variant == Variant::Watchman;
+            }
+            Event::RawBeams => self.wants_switch = true,
+            Event::Sync { .. } => self.wants_switch = false,
+            // It may come back with its mode forgotten, or as another device.
+            Event::Off => *self = Self::new(self.variant),
+            _ => {}
+        }
+    }
+
+    /// What to send now.
+    pub(super) fn tick(&mut self, now: HostTime, commands: &mut Vec<Command>) {
+        let since = |then: Option<HostTime>| then.map(|then| now.since_ns(then));
+        let passed =
+            |then, ms: u64| since(then).is_none_or(|ns| ns >= (ms * MILLISECOND_NS) as i64);
+        if !self.configured {
+            if self.reading {
+                commands.extend((0..PIECES).map(|_| get(id::CONFIGURATION_READ)));
+            }
+            if passed(self.read_at, READ_PATIENCE_MS) {
+                self.reading = false;
+                self.read_at = Some(now);
+                self.begin(commands);
+            }
+        } else if self.wants_switch && passed(self.switched_at, SWITCH_INTERVAL_MS) {
+            self.switched_at = Some(now);
+            self.switch(commands);
+        }
+    }
+
+    fn begin(&self, commands: &mut Vec<Command>) {
+        let reports: &[&[u8]] = match self.variant {
+            Variant::Watchman => &[RADIO_ON, RADIO_LIGHT_RAW, RADIO_PROTOCOL],
+            Variant::Wired(_) => &[ENABLE_LIGHTHOUSE, REPORT_ALL],
+            Variant::Mainboard => return,
+        };
+        commands.extend(reports.iter().map(|report| set(report)));
+        commands.extend([get(id::INPUT), get(id::CONFIGURATION_START)]);
+    }
+
+    fn switch(&self, commands: &mut Vec<Command>) {
+        let reports: &[&[u8]] = match self.variant {
+            Variant::Watchman => &[RADIO_LIGHT_STREAM],
+            Variant::Wired(_) => &[LIGHT_STREAM, REPORT_ALL],
+            Variant::Mainboard => return,
+        };
+        commands.extend(reports.iter().map(|report| set(report)));
+    }
+}
+
+fn set(data: &[u8]) -> Command {
+    Command::SetFeature {
+        interface: INTERFACE,
+        data: data.to_vec(),
+    }
+}
+
+fn get(id: u8) -> Command {
+    Command::GetFeature {
+        interface: INTERFACE,
+        id,
+        length: FEATURE_BYTES,
+    }
+}
+
+/// The report that powers a Vive's display and sensors up, for its mainboard.
+pub(super) fn power_on() -> Command {
+    let mut data = vec![id::MODE, 0x78, 0x29, 0x38, 1, 0, 0, 0, 0, 0, 2, 0, 1];
+    data.resize(usize::from(FEATURE_BYTES), 0);
+    set(&data)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::lighthouse::ImuClass;
+
+    fn at(ms: u64) -> HostTime {
+        HostTime(ms * MILLISECOND_NS)
+    }
+
+    fn sent(startup: &mut Startup, ms: u64) -> Vec<Command> {
+        let mut commands = Vec::new();
+        startup.tick(at(ms), &mut commands);
+        commands
+    }
+
+    #[test]
+    fn a_wired_device_is_asked_until_it_answers() {
+        let mut startup = Startup::new(Variant::Wired(ImuClass::Headset));
+        let first = sent(&mut startup, 0);
+        assert_eq!(first[0], set(&[4, 0, 0, 0, 0]));
+        assert_eq!(first.last(), Some(&get(0x10)));
+        assert!(sent(&mut startup, 100).is_empty(), "patience");
+        assert_eq!(sent(&mut startup, 600), first, "it was asleep");
+        startup.event(&Event::ConfigurationProgress, at(610));
+        assert_eq!(sent(&mut startup, 700), vec![get(0x11); PIECES]);
+        startup.event(&Event::Configuration(String::new()), at(800));
+        assert!(sent(&mut startup, 900).is_empty());
+        startup.event(&Event::RawBeams, at(1_000));
+        assert_eq!(
+            sent(&mut startup, 1_000),
+            [set(&[4, 1, 0, 0, 0]), set(&[7, 3, 0, 0, 0])]
+        );
+        assert!(sent(&mut startup, 1_100).is_empty());
+        startup.event(
+            &Event::Sync {
+                channel: 1,
+                ticks: 0.0,
+                data: false,
+            },
+            at(1_200),
+        );
+        assert!(sent(&mut startup, 9_000).is_empty(), "it streams");
+    }
+
+    #[test]
+    fn a_radio_device_is_switched_until_light_comes() {
+        let mut startup = Startup::new(Variant::Watchman);
+        assert_eq!(sent(&mut startup, 0).len(), 5);
+        startup.event(&Event::Configuration(String::new()), at(10));
+        assert_eq!(sent(&mut startup, 20), [set(RADIO_LIGHT_STREAM)]);
+        assert_eq!(
+            sent(&mut startup, 3_000),
+            [set(RADIO_LIGHT_STREAM)],
+            "it did not hear"
+        );
+        startup.event(
+            &Event::Sync {
+                channel: 1,
+                ticks: 0.0,
+                data: false,
+            },
+            at(3_100),
+        );
+        assert!(sent(&mut startup, 9_000).is_empty());
+        startup.event(&Event::Off, at(9_100));
+        assert_eq!(sent(&mut startup, 9_200).len(), 5, "from the start");
+    }
+}

@@ -1,6 +1,9 @@
 //! The integration tests of posed, in one binary so that they link once.
 
 mod allocation;
+mod captures;
+mod demo;
 mod layering;
 mod shared;
+mod stage;
 mod tidy;

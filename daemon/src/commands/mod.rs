@@ -1,12 +1,10 @@
 //! The commands of the command line, one file each.
 
-pub mod demo;
 pub mod inspect;
 pub mod list;
 mod live;
 pub mod record;
 pub mod replay;
-pub mod run;
 mod settings;
 pub mod simulate;
 mod summary;
@@ -34,6 +32,9 @@ pub enum CommandError {
     /// About the server.
     #[error(transparent)]
     Serving(#[from] crate::serving::ServingError),
+    /// About an address.
+    #[error(transparent)]
+    Address(#[from] crate::config::NotLoopback),
     /// About the content of an input.
     #[error("{0}")]
     Input(String),

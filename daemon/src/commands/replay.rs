@@ -1,6 +1,6 @@
 //! `posed replay`.
 
-use std::{fs::File, io::BufReader, path::Path};
+use std::{fs::File, io::BufReader, path::Path, sync::Arc};
 
 use indicatif::{ProgressBar, ProgressStyle};
 use posed_device::{
@@ -8,20 +8,28 @@ use posed_device::{
     rig::DeviceInfo,
     transport::{Merge, Recording, Replay},
 };
-use posed_signal::{Clock as _, DeviceId, HostTime, Sample, time::SECOND_NS};
+use posed_signal::{Clock as _, DeviceId, HostTime, Pose, Sample, time::SECOND_NS};
+use posed_tracker::Wearer;
+use tokio::sync::watch;
 
 use super::{CommandError, Report, Tally, settings};
 use crate::{
     assemble::{Assembly, assemble},
     cli::{OutputArgs, ReplayArgs, Speed},
     clock::{Monotonic, sleep_until},
+    config,
+    grpc::PoseSink,
     output::jsonl::JsonLines,
     pipeline::{
         replay::{Watcher, replay},
         source::Source,
     },
-    published::PublishedPose,
+    published::{DeviceState, PublishedPose},
+    serving::{Listing, Serving},
 };
+
+/// Devices are listed once in so many poses.
+const LISTING_POSES: u64 = 9;
 
 /// Opens a capture, and the `.usbdevs` file beside it where there is one.
 ///
@@ -62,10 +70,29 @@ pub fn run(args: &ReplayArgs) -> Result<(), CommandError> {
     } = assemble(Box::new(transport), options);
 
     let mut watcher = Outputs::new(&args.output, args.speed)?;
+    let mut serving = None;
+    if args.serve {
+        let wearer = Wearer::of_height(config.wearer.height_m);
+        let runtime_dir = config::files::runtime_dir();
+        let (sink, server) =
+            Serving::start(&config.grpc, runtime_dir.as_deref(), wearer, Arc::new(Monotonic))?;
+        for name in server.names() {
+            tracing::info!("serving on {name}");
+        }
+        let speed = match args.speed {
+            Speed::Times(speed) => speed,
+            Speed::Max => 1.0,
+        };
+        watcher.broadcast = Some(Broadcast::new(speed, sink, server.devices()));
+        serving = Some(server);
+    }
     let begun = Monotonic.now();
     let span = replay(&mut source, &mut tracker, config.tracker.rate_hz, &mut watcher);
     let wall_s = Monotonic.now().since_secs(begun);
     let report = watcher.finish(source.rig().devices(), span.seconds(), wall_s)?;
+    if let Some(server) = serving {
+        server.stop();
+    }
     if args.json {
         println!("{}", serde_json::to_string_pretty(&report).map_err(std::io::Error::from)?);
     } else {
@@ -105,9 +132,57 @@ impl Pacer {
     }
 }
 
+/// Serves a replay: its poses go out with the real clock's times, so that clients can tell how
+/// old they are.
+pub struct Broadcast {
+    pacer: Pacer,
+    sink: PoseSink,
+    devices: watch::Sender<Vec<DeviceState>>,
+    listing: Listing,
+}
+
+impl Broadcast {
+    /// `speed` times real time.
+    #[must_use]
+    pub fn new(speed: f64, sink: PoseSink, devices: watch::Sender<Vec<DeviceState>>) -> Self {
+        Self {
+            pacer: Pacer::new(speed),
+            sink,
+            devices,
+            listing: Listing::default(),
+        }
+    }
+
+    /// Waits until a time of the capture is due.
+    pub fn wait(&mut self, time: HostTime) {
+        self.pacer.wait(time);
+    }
+
+    /// Serves a pose, and now and then the devices.
+    pub fn pose(&mut self, pose: &PublishedPose, source: &Source) {
+        let mut served = *pose;
+        served.sample_at = self.pacer.real(pose.sample_at);
+        served.target_at = self.pacer.real(pose.target_at);
+        for part in &mut served.parts {
+            *part = part.map(|part| Pose {
+                at: self.pacer.real(part.at),
+                ..part
+            });
+        }
+        served.publish_at = Monotonic.now();
+        self.sink.publish(&served);
+        if pose.sequence % LISTING_POSES == 0 {
+            let devices = source.rig().devices();
+            self.devices
+                .send_replace(self.listing.states(devices, pose.target_at));
+        }
+    }
+}
+
 /// Everything that a replay writes.
 struct Outputs {
     pacer: Option<Pacer>,
+    broadcast: Option<Broadcast>,
     poses: Option<JsonLines>,
     devices: Option<JsonLines>,
     pending: Vec<(DeviceId, posed_signal::Pose)>,
@@ -133,6 +208,7 @@ impl Outputs {
                 Speed::Times(speed) => Some(Pacer::new(speed)),
                 Speed::Max => None,
             },
+            broadcast: None,
             poses: create(&args.poses)?,
             devices: create(&args.devices)?,
             pending: Vec::new(),
@@ -172,6 +248,9 @@ impl Watcher for Outputs {
 
     fn pose(&mut self, pose: &PublishedPose, source: &Source) {
         self.tally.pose(pose);
+        if let Some(broadcast) = &mut self.broadcast {
+            broadcast.pose(pose, source);
+        }
         if let Some(output) = &mut self.poses {
             output.line(pose);
         }

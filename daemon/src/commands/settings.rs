@@ -59,7 +59,7 @@ pub fn options(config: &Config) -> Result<Options, CommandError> {
     })
 }
 
-fn base_stations(path: &Path) -> Result<Vec<lighthouse::BaseStation>, CommandError> {
+fn base_stations(path: &Path) -> Result<Vec<lighthouse::base_station::BaseStation>, CommandError> {
     let text = fs::read_to_string(path).map_err(|error| CommandError::file(path, error))?;
     lighthouse::base_station::parse_libsurvive(&text)
         .map_err(|error| CommandError::Input(format!("{}: {error}", path.display())))

@@ -2,45 +2,11 @@
 
 use std::fmt::Write as _;
 
-use self::pending as lighthouse;
 use crate::{
     decode::Decoder,
+    lighthouse::{self, ImuClass, Variant},
     usb::{Packet, Transfer, UsbId},
 };
-
-mod pending {
-    //! Stands where the decoders will be.
-    use posed_signal::HostTime;
-
-    use crate::{
-        decode::{Command, DecodeError, Decoder, Emit},
-        usb::Packet,
-    };
-
-    /// Nothing yet.
-    #[derive(Debug, Clone, Default)]
-    pub struct Settings {}
-
-    pub(super) enum Variant {
-        Wired,
-        Watchman,
-        Mainboard,
-    }
-
-    struct Idle;
-
-    impl Decoder for Idle {
-        fn packet(&mut self, _packet: &Packet, _out: &mut dyn Emit) -> Result<(), DecodeError> {
-            Ok(())
-        }
-
-        fn tick(&mut self, _now: HostTime, _commands: &mut Vec<Command>) {}
-    }
-
-    pub(super) fn decoder(_variant: Variant, _settings: &Settings) -> Box<dyn Decoder> {
-        Box::new(Idle)
-    }
-}
 
 /// What the decoders are told when they are made.
 #[derive(Debug, Clone, Default)]
@@ -106,7 +72,7 @@ pub static CATALOG: &[Entry] = &[
         access: Access::Hidraw,
         endpoints: &[0x81, 0x82],
         shapes: &[shape(0x82, 0x25, 64)],
-        make: wired,
+        make: wired_headset,
     },
     Entry {
         name: "Valve Index headset, or Index controller or Vive tracker (2018) on a cable",
@@ -118,7 +84,7 @@ pub static CATALOG: &[Entry] = &[
             shape(0x83, 0x27, 59),
             shape(0x83, 0x28, 64),
         ],
-        make: wired,
+        make: wired_headset,
     },
     Entry {
         name: "Vive controller on a cable",
@@ -126,7 +92,7 @@ pub static CATALOG: &[Entry] = &[
         access: Access::Hidraw,
         endpoints: &[0x81, 0x82, 0x83],
         shapes: &[shape(0x82, 0x21, 58)],
-        make: wired,
+        make: wired_controller,
     },
     Entry {
         name: "Vive tracker on a cable",
@@ -134,7 +100,7 @@ pub static CATALOG: &[Entry] = &[
         access: Access::Hidraw,
         endpoints: &[0x81, 0x82, 0x83],
         shapes: &[],
-        make: wired,
+        make: wired_controller,
     },
     Entry {
         name: "Watchman radio (Vive and Index controllers, trackers)",
@@ -142,7 +108,7 @@ pub static CATALOG: &[Entry] = &[
         access: Access::Hidraw,
         endpoints: &[0x81],
         shapes: &[shape(0x81, 0x23, 30), shape(0x81, 0x24, 59)],
-        make: |settings| lighthouse::decoder(lighthouse::Variant::Watchman, &settings.lighthouse),
+        make: |settings| lighthouse::decoder(Variant::Watchman, &settings.lighthouse),
     },
     Entry {
         name: "HTC Vive or Vive Pro mainboard",
@@ -150,7 +116,7 @@ pub static CATALOG: &[Entry] = &[
         access: Access::Hidraw,
         endpoints: &[0x81],
         shapes: &[shape(0x81, 0x03, 64)],
-        make: |settings| lighthouse::decoder(lighthouse::Variant::Mainboard, &settings.lighthouse),
+        make: |settings| lighthouse::decoder(Variant::Mainboard, &settings.lighthouse),
     },
 ];
 
@@ -162,8 +128,12 @@ const INERTIAL: Shape = shape(0x81, 0x20, 52);
 /// [`VALVE_WIRED`].
 const INERTIAL_REPORTS: u32 = 100;
 
-fn wired(settings: &Settings) -> Box<dyn Decoder> {
-    lighthouse::decoder(lighthouse::Variant::Wired, &settings.lighthouse)
+fn wired_headset(settings: &Settings) -> Box<dyn Decoder> {
+    lighthouse::decoder(Variant::Wired(ImuClass::Headset), &settings.lighthouse)
+}
+
+fn wired_controller(settings: &Settings) -> Box<dyn Decoder> {
+    lighthouse::decoder(Variant::Wired(ImuClass::Controller), &settings.lighthouse)
 }
 
 /// The entry of a device.

@@ -92,6 +92,24 @@ impl<T: Copy> Lookup<T> {
         }
     }
 
+    /// The same answer with `change` made to its value.
+    #[must_use]
+    pub fn map(self, change: impl FnOnce(T) -> T) -> Self {
+        match self {
+            Self::Exact(value) => Self::Exact(change(value)),
+            Self::Interpolated(value) => Self::Interpolated(change(value)),
+            Self::Extrapolated { value, by_ns } => Self::Extrapolated {
+                value: change(value),
+                by_ns,
+            },
+            Self::Stale { value, age_ns } => Self::Stale {
+                value: change(value),
+                age_ns,
+            },
+            Self::Empty => Self::Empty,
+        }
+    }
+
     /// The value, unless it is stale or missing.
     #[must_use]
     pub fn fresh(&self) -> Option<T> {

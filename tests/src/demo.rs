@@ -1,0 +1,106 @@
+//! The embedded capture, whose truth is known, through the whole of posed.
+
+use std::io::{BufRead as _, BufReader};
+
+use flate2::read::GzDecoder;
+use glam::{Quat, Vec3};
+use posed::{
+    assemble::{Assembly, assemble},
+    commands::demo::{TRUTH, options, replay},
+    pipeline::source::Taken,
+};
+use posed_device::transport::Event;
+use posed_signal::{HostTime, Role, VirtualClock};
+use serde_json::Value;
+
+use crate::{
+    allocation::armed,
+    stage::{Run, quantile},
+};
+
+fn run() -> Run {
+    Run::of(replay().expect("embedded"), options().expect("embedded"))
+}
+
+/// The lines of the truth.
+fn truth() -> Vec<Value> {
+    let lines = BufReader::new(GzDecoder::new(TRUTH)).lines();
+    let parse = |line: std::io::Result<String>| {
+        serde_json::from_str(&line.expect("the truth is whole")).expect("the truth is JSON")
+    };
+    lines.map(parse).collect()
+}
+
+fn numbers<const N: usize>(value: &Value) -> [f32; N] {
+    let all = value.as_array().expect("a list");
+    std::array::from_fn(|index| all[index].as_f64().expect("a number") as f32)
+}
+
+#[test]
+fn the_same_capture_gives_the_same_poses() {
+    let (first, second) = (run(), run());
+    assert!(first.poses.len() > 1_000);
+    assert_eq!(first.poses, second.poses);
+}
+
+#[test]
+fn devices_are_where_they_truly_are() {
+    let run = run();
+    let truth = truth();
+    for role in [Role::Head, Role::LeftHand, Role::RightHand] {
+        let device = run.devices.iter().find(|device| device.role == role).expect("all are there");
+        let poses = run.optical(device.id, 1.0);
+        let (mut positions, mut rotations) = (Vec::new(), Vec::new());
+        for line in truth.iter().filter(|line| line["role"] == role.name()) {
+            let time = HostTime(line["t_ns"].as_u64().expect("a time"));
+            let next = poses.partition_point(|pose| pose.at < time);
+            let (Some(before), Some(after)) = (next.checked_sub(1).map(|n| poses[n]), poses.get(next))
+            else {
+                continue;
+            };
+            let span = after.at.since_ns(before.at);
+            if span > 20_000_000 {
+                continue;
+            }
+            let share = time.since_ns(before.at) as f32 / span as f32;
+            let position = before.position.lerp(after.position, share);
+            let rotation = before.rotation.slerp(after.rotation, share);
+            let true_position = Vec3::from_array(numbers(&line["position"]));
+            let true_rotation = Quat::from_array(numbers(&line["rotation"]));
+            positions.push(f64::from((position - true_position).length()) * 1e3);
+            rotations.push(f64::from(rotation.angle_between(true_rotation).to_degrees()));
+        }
+        assert!(positions.len() > 1_000, "{role}: {} can be compared", positions.len());
+        let [p50, p99] = [0.5, 0.99].map(|share| quantile(&mut positions, share));
+        let [r50, r99] = [0.5, 0.99].map(|share| quantile(&mut rotations, share));
+        println!("{role}: median {p50:.2} mm {r50:.3} deg, p99 {p99:.2} mm {r99:.3} deg");
+        assert!(p50 < 2.0 && p99 < 10.0, "{role}: {p50} mm, {p99} mm");
+        assert!(r50 < 0.2 && r99 < 1.0, "{role}: {r50} degrees, {r99} degrees");
+    }
+}
+
+#[test]
+fn the_tracker_loop_does_not_allocate() {
+    let transport = replay().expect("embedded");
+    let Assembly { mut source, mut tracker, .. } =
+        assemble(Box::new(transport), options().expect("embedded"));
+    let (mut ticks, mut next) = (0u32, None);
+    loop {
+        let event = source.next(0);
+        if let Event::Packet(packet) = &event {
+            let due = *next.get_or_insert(packet.at);
+            if packet.at > due {
+                next = Some(due.plus_secs(1.0 / 90.0));
+                source.tick(due);
+                let clock = VirtualClock::new(due);
+                let (pose, allocations) = armed(|| tracker.tick(&clock, &mut |_, _| {}));
+                assert_eq!(allocations, 0, "at tick {ticks}, {:?}", pose.quality);
+                ticks += 1;
+            }
+        }
+        if source.take(event) == Taken::End {
+            break;
+        }
+    }
+    assert!(ticks > 1_000, "{ticks} ticks");
+}

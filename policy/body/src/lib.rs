@@ -3,6 +3,7 @@
 
 pub mod character;
 pub mod motion;
+pub mod retarget;
 pub mod scene;
 pub mod simulation;
 pub mod skeleton;

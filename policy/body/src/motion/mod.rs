@@ -2,15 +2,18 @@
 //!
 //! * [`set`]: the motion-capture sets that hold many clips, from their `.npz` files.
 //! * [`procedural`]: a person who stands, walks, turns, squats, reaches and waves.
+//! * [`silhouette`]: the room that a body takes up, as capsules.
 //! * [`trajectory`]: a clip in continuous time, with velocities and accelerations.
 //! * [`spline`]: the cubic splines behind it.
 
 pub mod procedural;
 pub mod set;
+pub mod silhouette;
 pub mod spline;
 pub mod trajectory;
 
 pub use set::{MotionError, MotionSet};
+pub use silhouette::Limb;
 pub use trajectory::{JointMotion, Trajectory};
 
 use crate::skeleton::{BodyPose, Skeleton};

@@ -335,10 +335,6 @@ mod tests {
             let mut before = pose_at(sequence, HostTime(1_000_000_000 + sequence));
             before.kind = TrackerKind::ALL[sequence as usize % 4];
             let after = to_pose(&pose(&before)).unwrap();
-            for (a, b) in after.joints.rotations.iter().zip(&before.joints.rotations) {
-                assert!(a.angle_between(*b) < 1e-3);
-            }
-            before.joints.rotations = after.joints.rotations;
             assert_eq!(after, before);
         }
     }

@@ -135,6 +135,14 @@ impl Hub {
     }
 }
 
+#[cfg(test)]
+impl Hub {
+    /// How many there are, this one and the bridge included: every open stream holds one.
+    pub(super) fn clones(&self) -> usize {
+        Arc::strong_count(&self.window)
+    }
+}
+
 /// The window is whole after every operation, so that a reader's panic does not spoil it.
 fn lock(window: &Mutex<Window>) -> MutexGuard<'_, Window> {
     window.lock().unwrap_or_else(PoisonError::into_inner)

@@ -213,7 +213,7 @@ mod tests {
                 let angle = 0.4 * (1.5 * t + phase).sin();
                 let axis = DVec3::new(phase.cos(), phase.sin(), 0.5).normalize();
                 *rotation = DQuat::from_axis_angle(axis, angle).as_quat();
-                if index % 3 == 0 {
+                if index.is_multiple_of(3) {
                     *rotation = -*rotation;
                 }
             }

@@ -53,11 +53,6 @@ impl<const N: usize> Track<N> {
         self.keys.push((begin, end, target));
     }
 
-    /// Where the last key leads.
-    pub(super) fn last(&self) -> [f64; N] {
-        self.keys.last().map_or(self.start, |key| key.2)
-    }
-
     pub(super) fn at(&self, t: f64) -> [f64; N] {
         let (mut value, mut from) = (self.start, self.start);
         for &(begin, end, target) in &self.keys {
@@ -145,7 +140,7 @@ mod tests {
         assert_eq!(track.at(0.5), [1.0]);
         assert_eq!(track.at(1.5), [2.0]);
         assert_eq!(track.at(3.0), [3.0]);
-        assert_eq!((track.at(9.0), track.last()), ([0.0], [0.0]));
+        assert_eq!(track.at(9.0), [0.0]);
         track.to(4.5, 6.0, [10.0]);
         assert_eq!(track.at(6.0), [10.0]);
     }

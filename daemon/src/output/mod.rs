@@ -1,5 +1,9 @@
 //! Ways out of the daemon besides gRPC.
 
+pub mod bvh;
+pub mod export;
+pub mod gltf;
+mod gltf_figure;
 pub mod jsonl;
 pub mod motion;
 pub mod names;

@@ -1,5 +1,6 @@
 //! From samples and a time to a body pose: the trackers and what they share.
 
+pub mod eval;
 pub mod ik;
 pub mod inference;
 pub mod metrics;

@@ -1,7 +1,7 @@
 //! The interface of every tracker: what the devices say at a time, in; a body pose, out.
 
 use posed_body::{BodyPose, Skeleton};
-use posed_signal::{HostTime, Lookup, Pose, Role};
+use posed_signal::{HostTime, Imu, Lookup, Pose, Role};
 
 /// Which tracker made a pose.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
@@ -128,6 +128,10 @@ pub trait Tracker: Send {
 
     /// Forgets the past: the next tick starts from what the devices then say.
     fn reset(&mut self);
+
+    /// An inertial sample of a role's device, in the device's own frame; all up to a tick's time
+    /// come before the tick, in the order of time. Trackers that use poses only need not listen.
+    fn sense(&mut self, _role: Role, _sample: &Imu) {}
 
     /// The body pose at `input.target`. Target times never decrease between resets.
     fn track(&mut self, input: &Input<'_>) -> Tracked;

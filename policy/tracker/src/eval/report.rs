@@ -1,0 +1,88 @@
+//! Results of many clips joined.
+
+use std::collections::BTreeMap;
+
+use serde::{Serialize, Serializer, ser::SerializeMap};
+
+use super::ClipResult;
+use crate::metrics::{Metric, Scores};
+
+/// Means over some clips.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Row {
+    /// The clip, the kind of motion, or `all`.
+    pub name: String,
+    /// How many clips.
+    pub clips: usize,
+    /// How long they are together.
+    pub seconds: f64,
+    /// Share of frames in which the left and right hand were shown, mean over clips.
+    pub hands_seen: [f64; 2],
+    /// The metrics, mean over clips.
+    pub scores: Scores,
+}
+
+/// All clips, kinds of motion, and everything together.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Report {
+    /// Over all clips.
+    pub all: Row,
+    /// By kind of motion, in the order of names.
+    pub classes: Vec<Row>,
+    /// Clip by clip, in the order given.
+    pub clips: Vec<Row>,
+}
+
+impl Report {
+    /// Joins results. Their order decides the order of sums: keep the clips' own, whatever order
+    /// they finished in.
+    #[must_use]
+    pub fn of(results: &[ClipResult]) -> Self {
+        let mut classes: BTreeMap<&str, Vec<&ClipResult>> = BTreeMap::new();
+        for result in results {
+            classes.entry(&result.class).or_default().push(result);
+        }
+        let everything: Vec<&ClipResult> = results.iter().collect();
+        Self {
+            all: row("all", &everything),
+            classes: classes
+                .iter()
+                .map(|(name, clips)| row(name, clips))
+                .collect(),
+            clips: results
+                .iter()
+                .map(|result| row(&result.name, &[result]))
+                .collect(),
+        }
+    }
+}
+
+fn row(name: &str, results: &[&ClipResult]) -> Row {
+    let count = results.len().max(1) as f64;
+    let seen = |hand: usize| {
+        results
+            .iter()
+            .map(|clip| clip.hands_seen[hand])
+            .sum::<f64>()
+            / count
+    };
+    Row {
+        name: name.to_owned(),
+        clips: results.len(),
+        seconds: results.iter().map(|clip| clip.seconds).sum(),
+        hands_seen: [seen(0), seen(1)],
+        scores: Scores::mean(results.iter().map(|clip| &clip.scores)),
+    }
+}
+
+impl Serialize for Scores {
+    /// A map from metric names to numbers or null.
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let mut map = serializer.serialize_map(Some(Metric::COUNT + 1))?;
+        for &metric in Metric::ALL {
+            map.serialize_entry(metric.name(), &self.get(metric))?;
+        }
+        map.serialize_entry("translation_cm", &self.translation_cm)?;
+        map.end()
+    }
+}

@@ -13,6 +13,7 @@ use super::{
     base_station::BaseStation,
     model::{DeviceModel, GRAVITY},
     motion::ImuSample,
+    planes::Planes,
     reproject::reproject_with_gradient,
     solve::{Sighting, Solution},
 };
@@ -29,21 +30,24 @@ type Covariance = SMatrix<f64, N, N>;
 
 /// Noise of the model. Densities are per root hertz; the first of a pair always holds, the second
 /// is a share of what is measured, for scale errors and vibration.
-const GYRO_NOISE: (f64, f64) = (1.0e-4, 3.0e-3);
-const ACCEL_NOISE: (f64, f64) = (2.0e-3, 1.0e-2);
+const GYRO_NOISE: (f64, f64) = (5e-5, 1e-2);
+const ACCEL_NOISE: (f64, f64) = (1e-3, 2e-2);
+/// Densities while a sensor stands at the end of its range: accelerometer, gyroscope.
+const CLIPPED_NOISE: (f64, f64) = (10.0, 1.0);
 /// Random walks of the biases, per root second.
-const GYRO_BIAS_WALK: f64 = 1e-4;
-const ACCEL_BIAS_WALK: f64 = 2e-3;
+const GYRO_BIAS_WALK: f64 = 2e-5;
+const ACCEL_BIAS_WALK: f64 = 3e-4;
 const TILT_WALK: f64 = 1e-6;
 /// Standard deviations at the start: what the factory calibration leaves, and the base stations.
 const GYRO_BIAS_START: f64 = 0.02;
 const ACCEL_BIAS_START: f64 = 0.15;
 const TILT_START: f64 = 0.005;
-/// A sweep's standard deviation, rad. Noise is 4e-5; most of it is what calibrations leave.
-const SWEEP_SIGMA: f64 = 2.5e-4;
+/// A sweep's standard deviation, rad. Its noise is 6e-5; the rest is what the calibrations of
+/// sensors and base stations leave, measured in captures.
+const SWEEP_SIGMA: f64 = 3e-4;
 /// Innovations beyond so many standard deviations weigh less, beyond the second number nothing.
 const SOFT_GATE: f64 = 3.0;
-const HARD_GATE: f64 = 6.0;
+const HARD_GATE: f64 = 8.0;
 /// Sensors hardly see light that comes from behind this angle, as a cosine.
 const FACING_COSINE: f64 = -0.1;
 
@@ -69,8 +73,8 @@ impl Nominal {
 /// What became of a sweep.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum Verdict {
-    /// It was used; its innovation, rad.
-    Accepted(f64),
+    /// It was used: the residual that is left, rad, and its weight beside an ordinary sweep's.
+    Accepted(f64, f64),
     /// It does not fit: a reflection, or the filter is wrong.
     Rejected,
     /// It cannot be compared: no such sensor, or a base station that is not known.
@@ -90,6 +94,7 @@ pub(super) struct Filter {
     covariance: Covariance,
     /// The newest sample, biases taken off.
     imu: ImuSample,
+    planes: Planes,
 }
 
 impl Filter {
@@ -120,6 +125,7 @@ impl Filter {
             tilt: [0.0; 2],
             covariance,
             imu: *imu,
+            planes: Planes::new(SWEEP_SIGMA),
         }
     }
 
@@ -149,15 +155,6 @@ impl Filter {
         imu.less(self.accel_bias, self.gyro_bias)
     }
 
-    /// Standard deviation of the position, m.
-    pub(super) fn position_sigma(&self) -> f64 {
-        (0..3)
-            .map(|axis| self.covariance[(axis, axis)])
-            .sum::<f64>()
-            .max(0.0)
-            .sqrt()
-    }
-
     /// Moves on to the time of a sample.
     pub(super) fn propagate(&mut self, imu: &ImuSample) {
         let dt = imu.time - self.time;
@@ -165,11 +162,7 @@ impl Filter {
             return;
         }
         let newest = self.unbiased(imu);
-        let mean = ImuSample {
-            time: imu.time,
-            accel: 0.5 * (self.imu.accel + newest.accel),
-            gyro: 0.5 * (self.imu.gyro + newest.gyro),
-        };
+        let mean = self.imu.mean(&newest);
         self.propagate_covariance(dt, &mean);
         self.nominal.advance(dt, &mean, self.gravity());
         (self.time, self.imu) = (imu.time, newest);
@@ -204,11 +197,16 @@ impl Filter {
                 }
             }
         }
-        let noise = |(still, share): (f64, f64), measured: f64| {
-            (still * still + share * share * measured * measured) * dt
+        let clipped = if imu.clipped {
+            CLIPPED_NOISE
+        } else {
+            (0.0, 0.0)
         };
-        let accel = noise(ACCEL_NOISE, (imu.accel.length() - GRAVITY).abs());
-        let gyro = noise(GYRO_NOISE, imu.gyro.length());
+        let noise = |(still, share): (f64, f64), measured: f64, clipped: f64| {
+            (still * still + share * share * measured * measured + clipped * clipped) * dt
+        };
+        let accel = noise(ACCEL_NOISE, (imu.accel.length() - GRAVITY).abs(), clipped.0);
+        let gyro = noise(GYRO_NOISE, imu.gyro.length(), clipped.1);
         let walk = |sigma: f64| sigma * sigma * dt;
         for axis in 0..3 {
             p[(VELOCITY + axis, VELOCITY + axis)] += accel;
@@ -259,14 +257,17 @@ impl Filter {
         let by_velocity = tau * by_point;
         let rows = [by_point, by_velocity, by_rotation];
         let row = SVector::<f64, 9>::from_iterator(rows.iter().flat_map(DVec3::to_array));
-        self.update(seen.angle - expected, &row)
+        let innovation = seen.angle - expected;
+        let noise = self
+            .planes
+            .variance(usize::from(seen.station), plane, seen.time, innovation);
+        self.update(innovation, noise, &row)
     }
 
     /// The Kalman update with a scalar whose derivative over all but the first nine states is 0.
-    fn update(&mut self, innovation: f64, row: &SVector<f64, 9>) -> Verdict {
+    fn update(&mut self, innovation: f64, noise: f64, row: &SVector<f64, 9>) -> Verdict {
         let gain: SVector<f64, N> = self.covariance.fixed_columns::<9>(0) * row;
         let known = row.dot(&gain.fixed_rows::<9>(0));
-        let noise = SWEEP_SIGMA * SWEEP_SIGMA;
         let ratio = (innovation * innovation / (known + noise)).sqrt();
         if ratio.is_nan() || ratio > HARD_GATE {
             return Verdict::Rejected;
@@ -276,7 +277,8 @@ impl Filter {
         let change = gain * (innovation / variance);
         self.covariance.ger(-1.0 / variance, &gain, &gain, 1.0);
         self.inject(&change);
-        Verdict::Accepted(innovation)
+        let weight = SWEEP_SIGMA * SWEEP_SIGMA / noise;
+        Verdict::Accepted(innovation * (1.0 - known / variance), weight)
     }
 
     fn inject(&mut self, change: &SVector<f64, N>) {

@@ -13,6 +13,7 @@ mod input;
 pub mod inspect;
 pub mod model;
 mod motion;
+mod planes;
 mod radio;
 pub mod reader;
 pub mod reproject;

@@ -14,7 +14,12 @@ pub(super) struct ImuSample {
     pub(super) accel: DVec3,
     /// rad/s.
     pub(super) gyro: DVec3,
+    /// Whether accelerometer or gyroscope stand at the end of their range, and so tell too little.
+    pub(super) clipped: bool,
 }
+
+/// Raw readings from here on are at the end of the range.
+const CLIPPED: u16 = 32_700;
 
 impl ImuSample {
     pub(super) fn new(
@@ -23,6 +28,7 @@ impl ImuSample {
         range: ImuRange,
         calibration: &ImuCalibration,
     ) -> Self {
+        let clipped = |lsb: &i16| lsb.unsigned_abs() >= CLIPPED;
         let vector = |lsb: [i16; 3]| DVec3::from(lsb.map(f64::from));
         let accel = vector(raw.accel) * range.accel - calibration.accel_bias;
         let gyro = vector(raw.gyro) * range.gyro - calibration.gyro_bias;
@@ -30,6 +36,17 @@ impl ImuSample {
             time,
             accel: accel * calibration.accel_scale,
             gyro: gyro * calibration.gyro_scale,
+            clipped: raw.accel.iter().chain(&raw.gyro).any(clipped),
+        }
+    }
+
+    /// What holds between two samples.
+    pub(super) fn mean(&self, later: &Self) -> Self {
+        Self {
+            time: later.time,
+            accel: 0.5 * (self.accel + later.accel),
+            gyro: 0.5 * (self.gyro + later.gyro),
+            clipped: self.clipped || later.clipped,
         }
     }
 
@@ -141,6 +158,7 @@ mod tests {
                     time,
                     accel: rotation(time).conjugate() * push,
                     gyro,
+                    clipped: false,
                 }
             })
             .collect();

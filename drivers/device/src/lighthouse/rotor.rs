@@ -16,10 +16,8 @@ const RELOCK_SYNCS: u8 = 2;
 /// Revolutions over which the phase is foretold without a sync: 0.6 s, as the drift of rotors in
 /// captures allows for 1e-4 rad.
 const COAST_REVOLUTIONS: f64 = 30.0;
-/// Share of a sync's deviation that the phase takes over; syncs scatter by 4 ticks.
-const PHASE_GAIN: f64 = 0.4;
 /// Share of a sync's deviation that the period takes over.
-const PERIOD_GAIN: f64 = 0.03;
+const PERIOD_GAIN: f64 = 0.1;
 /// Near half a revolution it cannot be told which plane passed, rad.
 const PLANE_MARGIN: f64 = 0.16;
 
@@ -38,7 +36,7 @@ pub struct Rotor {
     nominal: f64,
     /// Ticks a revolution.
     period: f64,
-    /// Where the newest sync stands, smoothed, ticks.
+    /// The newest sync, ticks.
     zero: f64,
     /// Syncs that agreed, saturating.
     agreed: u8,
@@ -78,7 +76,8 @@ impl Rotor {
         };
         if reach <= COAST_REVOLUTIONS && deviation.abs() < tolerance {
             if revolutions > 0.0 {
-                self.zero = ticks - (1.0 - PHASE_GAIN) * deviation;
+                // Rotors wobble by more than syncs scatter: smoothing the phase doubles residuals.
+                self.zero = ticks;
                 self.follow(deviation / reach);
             }
             self.strays = 0;

@@ -445,6 +445,7 @@ mod tests {
                     time,
                     accel: accel(turn),
                     gyro: truth.gyro,
+                    clipped: false,
                 }
             })
             .collect();
@@ -513,6 +514,7 @@ mod tests {
             time: 0.0,
             accel: DVec3::Y * GRAVITY,
             gyro: DVec3::ZERO,
+            clipped: false,
         };
         let motion = RelativeMotion::backwards([sample].iter(), 0.0);
         let noise = (0..200u32).map(|n| Sighting {

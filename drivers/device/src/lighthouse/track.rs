@@ -75,7 +75,7 @@ struct Tracking {
     filter: Filter,
     /// Time of the newest accepted light.
     light: f64,
-    /// Running mean of squared innovations, rad^2, and of the share of sweeps accepted.
+    /// Running weighted mean of squared residuals, rad^2, and share of sweeps accepted.
     square: f64,
     fitting: f64,
 }
@@ -188,11 +188,7 @@ impl Track {
         for sample in self.samples.range(begin..) {
             let unbiased = filter.unbiased(sample);
             let before = held.replace(unbiased).unwrap_or(unbiased);
-            let mean = ImuSample {
-                time: sample.time,
-                accel: 0.5 * (before.accel + unbiased.accel),
-                gyro: 0.5 * (before.gyro + unbiased.gyro),
-            };
+            let mean = before.mean(&unbiased);
             nominal.advance(sample.time - time, &mean, filter.gravity());
             time = sample.time;
         }
@@ -244,10 +240,10 @@ impl Track {
         }
         advance(&mut tracking.filter, &self.samples, seen.time);
         match tracking.filter.sweep(&self.stations, &self.model, seen) {
-            Verdict::Accepted(innovation) => {
+            Verdict::Accepted(residual, weight) => {
                 self.counters.accepted += 1;
                 tracking.light = tracking.light.max(seen.time);
-                tracking.square += RUNNING * (innovation * innovation - tracking.square);
+                tracking.square += RUNNING * weight * (residual * residual - tracking.square);
                 tracking.fitting += RUNNING * (1.0 - tracking.fitting);
             }
             Verdict::Rejected => {

@@ -1,0 +1,129 @@
+//! How far each light plane agrees with the others.
+//!
+//! A base station's calibration or pose is often off by far more than its light's noise, and then
+//! for all sensors alike, so that no single sweep looks wrong. What tells is that one plane keeps
+//! disagreeing while the others agree: it then weighs less. When all disagree, the pose is wrong
+//! and no plane is to blame.
+
+/// Base stations that are told apart.
+const STATIONS: usize = 16;
+/// Weight of a sweep in the running figures: half a second of a headset's sweeps.
+const RUNNING: f64 = 1.0 / 256.0;
+/// A single deviation counts no more than this, rad.
+const DEVIATION_MAX: f64 = 0.03;
+/// A plane counts for comparison while its last sweep is no older than this, s.
+const ACTIVE: f64 = 1.0;
+/// Deviations up to this times the others' are ordinary.
+const ORDINARY: f64 = 2.0;
+
+#[derive(Debug, Clone, Copy)]
+struct Plane {
+    /// Running mean of squared deviations, rad^2.
+    square: f64,
+    /// Time of its newest sweep, s.
+    seen: f64,
+}
+
+/// The agreement of all planes.
+#[derive(Debug, Clone)]
+pub(super) struct Planes {
+    planes: [[Plane; 2]; STATIONS],
+    /// Variance of a sweep of an ordinary plane, rad^2.
+    ordinary: f64,
+}
+
+impl Planes {
+    /// `sigma`: standard deviation of a sweep of an ordinary plane, rad.
+    pub(super) fn new(sigma: f64) -> Self {
+        let unseen = Plane {
+            square: sigma * sigma,
+            seen: f64::NEG_INFINITY,
+        };
+        Self {
+            planes: [[unseen; 2]; STATIONS],
+            ordinary: sigma * sigma,
+        }
+    }
+
+    /// The variance of a sweep of a plane, which deviates by `deviation` (rad) at `time`.
+    pub(super) fn variance(
+        &mut self,
+        station: usize,
+        plane: usize,
+        time: f64,
+        deviation: f64,
+    ) -> f64 {
+        let reference = self.reference(time);
+        let Some(entry) = self
+            .planes
+            .get_mut(station)
+            .and_then(|pair| pair.get_mut(plane))
+        else {
+            return self.ordinary;
+        };
+        let deviation = deviation.abs().min(DEVIATION_MAX);
+        entry.square += RUNNING * (deviation * deviation - entry.square);
+        entry.seen = time;
+        let excess = entry.square / (ORDINARY * ORDINARY * reference);
+        self.ordinary * excess.max(1.0)
+    }
+
+    /// What ordinary planes deviate by now: the second best of those that are seen.
+    fn reference(&self, time: f64) -> f64 {
+        let (mut best, mut second) = (f64::INFINITY, f64::INFINITY);
+        for plane in self
+            .planes
+            .iter()
+            .flatten()
+            .filter(|plane| time - plane.seen < ACTIVE)
+        {
+            if plane.square < best {
+                (best, second) = (plane.square, best);
+            } else {
+                second = second.min(plane.square);
+            }
+        }
+        let reference = if second.is_finite() { second } else { best };
+        if reference.is_finite() {
+            reference.max(self.ordinary)
+        } else {
+            self.ordinary
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const SIGMA: f64 = 3e-4;
+
+    fn after(deviations: [f64; 4]) -> [f64; 4] {
+        let mut planes = Planes::new(SIGMA);
+        let mut variances = [0.0; 4];
+        for n in 0..2_000 {
+            for (index, deviation) in deviations.into_iter().enumerate() {
+                let time = f64::from(n) * 1e-3;
+                variances[index] = planes.variance(index / 2, index % 2, time, deviation);
+            }
+        }
+        variances.map(|variance| variance.sqrt() / SIGMA)
+    }
+
+    #[test]
+    fn only_the_plane_that_disagrees_loses_weight() {
+        let [a, b, c, d] = after([2e-4, 3e-4, 1e-4, 6e-3]);
+        assert_eq!([a, b, c], [1.0; 3]);
+        assert!((d - 10.0).abs() < 0.1, "{d}");
+    }
+
+    #[test]
+    fn when_all_disagree_no_plane_is_to_blame() {
+        assert_eq!(after([6e-3; 4]), [1.0; 4]);
+    }
+
+    #[test]
+    fn stations_out_of_range_are_ordinary() {
+        assert_eq!(Planes::new(SIGMA).variance(99, 0, 0.0, 1.0), SIGMA * SIGMA);
+    }
+}

@@ -29,6 +29,8 @@ STRONG_DEFAULT = 0.7
 CONTROLLERS, FIELD_OF_VIEW, HEAD_ONLY = 0, 1, 2
 SCENARIO_WEIGHTS = torch.tensor([0.56, 0.40, 0.04])
 SPLICE = 0.3
+VISIT = 8
+"""Chunks after which a lane leaves a clip."""
 LEGS = [1, 2, 4, 5, 7, 8, 10, 11]
 TORSO = [3, 6, 9, 12, 13, 14]
 GROUPS = [LEGS, TORSO, [15], [16, 17], [18, 19], [20, 21]]
@@ -102,10 +104,14 @@ class Lanes:
             mine = torch.tensor([s == name for s in store.sources]) & usable
             if mine.any():
                 weight[mine] = share * length[mine] / length[mine].sum()
-        self.weight, self.length = weight, length
+        # Long clips keep a lane longer, so they are begun less often: shares hold in time.
+        chunks = length / self.span
+        stay = torch.where(chunks < VISIT, chunks / 2, VISIT - VISIT**2 / (2 * chunks)) + 1
+        self.weight, self.length = weight / stay, length
         self.lane = {
             "clip": torch.zeros(batch, dtype=torch.long),
             "place": torch.full((batch,), 1e9, dtype=torch.double),
+            "visit": torch.zeros(batch, dtype=torch.long),
             "speed": torch.ones(batch, dtype=torch.double),
             "mirrored": torch.zeros(batch, dtype=torch.bool),
             "scenario": torch.zeros(batch, dtype=torch.long),
@@ -136,6 +142,7 @@ class Lanes:
         lane, n = self.lane, len(which)
         clip = torch.multinomial(self.weight, n, replacement=True, generator=self.generator)
         lane["clip"][which] = clip
+        lane["visit"][which] = 0
         fast = self._uniform(n) < 0.5
         speed = torch.where(fast, torch.exp(0.223 * (2 * self._uniform(n) - 1)), torch.ones(n))
         speed = speed.double() if self.augment else torch.ones(n).double()
@@ -158,7 +165,8 @@ class Lanes:
         """Renews ended lanes; returns which lanes (B, 1) start with a fresh state."""
         lane = self.lane
         need = lane["place"] + lane["speed"] * self.span + 2
-        ended = (need >= self.length[lane["clip"]]).nonzero().squeeze(1)
+        ended = (need >= self.length[lane["clip"]]) | (lane["visit"] >= VISIT)
+        ended = ended.nonzero().squeeze(1)
         reset = torch.zeros(self.batch, dtype=torch.bool)
         if len(ended):
             self._renew(ended)
@@ -177,6 +185,7 @@ class Lanes:
         steps = self.stride * torch.arange(self.frames + 1, dtype=torch.double)
         times = lane["place"][:, None] + lane["speed"][:, None] * steps
         quats, root = play(self.store, lane["clip"], times)
+        lane["visit"] += 1
         lane["place"] += lane["speed"] * self.span
         offsets, root = self._stretched(root)
         flipped = mirror(quats, root, offsets)

@@ -4,7 +4,7 @@ SHELL := bash
 NATIVE := .native
 PYTHON ?= python3
 
-.PHONY: help demo test bench native lint doc
+.PHONY: help demo test bench native lint doc assets
 
 help:
 	@echo "make demo   replay the embedded capture, serve it and follow it on the terminal"
@@ -44,3 +44,10 @@ lint: native
 
 doc: native
 	cargo doc --workspace --no-deps --locked
+
+# The embedded capture, and its truth for the tests; to be made again when the simulator changes.
+assets: native
+	cargo run --release --locked -p posed -- simulate --seed 1 --seconds 30 \
+		--out daemon/assets/demo.pcap.gz --base-stations daemon/assets/demo-base-stations.json \
+		--truth tests/assets/demo-truth.jsonl
+	gzip --best --no-name --force tests/assets/demo-truth.jsonl

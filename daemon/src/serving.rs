@@ -115,14 +115,16 @@ impl Serving {
         self.wearer.send_replace(wearer);
     }
 
-    /// Ends every stream and gives the sockets back.
-    pub fn stop(self) {
+    /// Ends every stream, waits for `last`, and gives the sockets back.
+    pub fn stop<T>(self, last: impl Future<Output = T>) -> T {
         self.stop.send_replace(true);
         let server = self.server;
-        let _ = self
-            .runtime
-            .block_on(async { tokio::time::timeout(STOP_TIMEOUT, server).await });
+        let answer = self.runtime.block_on(async {
+            let _ = tokio::time::timeout(STOP_TIMEOUT, server).await;
+            last.await
+        });
         self.runtime.shutdown_timeout(STOP_TIMEOUT);
+        answer
     }
 }
 

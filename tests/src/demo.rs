@@ -6,7 +6,7 @@ use flate2::read::GzDecoder;
 use glam::{Quat, Vec3};
 use posed::{
     assemble::{Assembly, assemble},
-    commands::demo::{TRUTH, options, replay},
+    commands::demo::{options, replay},
     pipeline::source::Taken,
 };
 use posed_device::transport::Event;
@@ -17,6 +17,9 @@ use crate::{
     allocation::armed,
     stage::{Run, quantile},
 };
+
+/// True poses of the devices and the body, beside the embedded capture.
+static TRUTH: &[u8] = include_bytes!("../assets/demo-truth.jsonl.gz");
 
 fn run() -> Run {
     Run::of(replay().expect("embedded"), options().expect("embedded"))

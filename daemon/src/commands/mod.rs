@@ -1,10 +1,13 @@
 //! The commands of the command line, one file each.
 
+pub mod demo;
+pub mod follow;
 pub mod inspect;
 pub mod list;
 mod live;
 pub mod record;
 pub mod replay;
+pub mod run;
 mod settings;
 pub mod simulate;
 mod summary;
@@ -32,6 +35,9 @@ pub enum CommandError {
     /// About the server.
     #[error(transparent)]
     Serving(#[from] crate::serving::ServingError),
+    /// About following.
+    #[error(transparent)]
+    Follow(#[from] crate::follow::FollowError),
     /// About an address.
     #[error(transparent)]
     Address(#[from] crate::config::NotLoopback),

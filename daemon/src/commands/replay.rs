@@ -91,7 +91,7 @@ pub fn run(args: &ReplayArgs) -> Result<(), CommandError> {
     let wall_s = Monotonic.now().since_secs(begun);
     let report = watcher.finish(source.rig().devices(), span.seconds(), wall_s)?;
     if let Some(server) = serving {
-        server.stop();
+        server.stop(async {});
     }
     if args.json {
         println!("{}", serde_json::to_string_pretty(&report).map_err(std::io::Error::from)?);

@@ -72,7 +72,7 @@ pub fn run(args: &RunArgs) -> Result<(), CommandError> {
     notifier.stopping();
     shared.stop.store(true, Ordering::Relaxed);
     let ended = [tracker.join(), source.join()].into_iter().all(|thread| thread.is_ok());
-    serving.stop();
+    serving.stop(async {});
     if ended {
         Ok(())
     } else {

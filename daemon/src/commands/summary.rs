@@ -111,7 +111,6 @@ pub struct Report {
 
 /// Body poses by quality, see [`posed_tracker::Quality`].
 #[derive(Debug, Clone, Copy, Serialize)]
-#[expect(missing_docs, reason = "named after the variants")]
 pub struct QualityReport {
     pub held: u64,
     pub degraded: u64,

@@ -68,7 +68,8 @@ impl Summary {
         *ages.select_nth_unstable(rank).1
     }
 
-    fn take(&mut self, followed: &Followed) {
+    /// Counts a pose.
+    pub(crate) fn take(&mut self, followed: &Followed) {
         let at = followed.pose.publish_at;
         let slot = (self.poses % AGES_MAX as u64) as usize;
         match self.ages.get_mut(slot) {

@@ -33,12 +33,10 @@ use crate::{
 use screen::Screen;
 
 /// The embedded capture: USB traffic of a simulated Index headset and two Index controllers on
-/// somebody who stands, walks, turns, squats, reaches and waves (`posed simulate --seed 1`).
+/// somebody who stands, walks, turns, squats, reaches and waves (`make assets`).
 pub static CAPTURE: &[u8] = include_bytes!("../../../assets/demo.pcap.gz");
 /// Its base stations, in libsurvive's JSON.
 pub static BASE_STATIONS: &str = include_str!("../../../assets/demo-base-stations.json");
-/// The true poses of its devices and of the body, lines of JSON, compressed by gzip.
-pub static TRUTH: &[u8] = include_bytes!("../../../assets/demo-truth.jsonl.gz");
 /// Height of the simulated wearer, metres.
 pub const HEIGHT: f32 = 1.75;
 /// Poses a second.
@@ -89,8 +87,9 @@ pub fn run(args: &DemoArgs) -> Result<(), CommandError> {
     for name in serving.names() {
         println!("serving on {name}");
     }
-    let screen = Screen::new(std::io::stdout().is_terminal());
-    let follower = screen.follow(serving.runtime(), &socket.display().to_string());
+    let terminal = std::io::stdout().is_terminal();
+    let devices = serving.devices().subscribe();
+    let screen = Screen::follow(serving.runtime(), &socket, devices, terminal);
 
     let Assembly {
         mut source,
@@ -113,8 +112,7 @@ pub fn run(args: &DemoArgs) -> Result<(), CommandError> {
     let wall_s = Monotonic.now().since_secs(begun);
     let report = served.tally.report(source.rig().devices(), span.seconds(), wall_s);
     drop(served);
-    let summary = serving.runtime().block_on(follower.finish());
-    serving.stop();
+    let summary = serving.stop(screen.finish());
     let _ = std::fs::remove_dir(&folder);
     print!("{}{}", report.text(), summary);
     Ok(())

@@ -328,4 +328,55 @@ mod tests {
             "{error}"
         );
     }
+
+    /// systemd passes the socket in the environment, which is the process's: a child takes it.
+    #[test]
+    fn a_socket_handed_over_by_systemd_is_taken() {
+        use std::{env, io::Read as _, process};
+        let folder = tempfile::tempdir().unwrap();
+        let socket = folder.path().join("s");
+        let child = process::Command::new("systemd-socket-activate")
+            .arg("--listen")
+            .arg(&socket)
+            .arg(env::current_exe().unwrap())
+            .args([
+                "--exact",
+                "--ignored",
+                "grpc::listen::tests::child_takes_the_socket",
+            ])
+            .stdout(process::Stdio::null())
+            .stderr(process::Stdio::null())
+            .spawn();
+        let Ok(mut child) = child else {
+            println!("SKIPPED (needs systemd-socket-activate)");
+            return;
+        };
+        let connect = || UnixStream::connect(&socket).ok();
+        let pause = std::time::Duration::from_millis(10);
+        let connection = (0..1000).find_map(|_| {
+            std::thread::sleep(pause);
+            connect()
+        });
+        let mut said = String::new();
+        connection.unwrap().read_to_string(&mut said).unwrap();
+        assert!(
+            said.contains(&format!("unix:{} (from systemd)", socket.display())),
+            "{said}"
+        );
+        assert!(child.wait().unwrap().success());
+        assert!(socket.exists(), "it is systemd's to remove");
+    }
+
+    #[test]
+    #[ignore = "runs in a child process, whose systemd is a test"]
+    fn child_takes_the_socket() {
+        use std::io::Write as _;
+        // No directory for a socket of its own: it must not want one.
+        let listeners = Listeners::open(&config(UnixSocket::Auto, None), None).unwrap();
+        let (mut connection, _) = listeners.unix[0].accept().unwrap();
+        connection
+            .write_all(listeners.to_string().as_bytes())
+            .unwrap();
+        assert!(listeners.bound.is_none());
+    }
 }

@@ -222,10 +222,10 @@ async fn a_client_that_is_late_for_a_moment_catches_up() {
 async fn credits_bound_what_is_sent_and_the_end_is_orderly() {
     let mut fixture = Fixture::start();
     let mut client = ByHand::new(&fixture, 64).await;
-    client.grant(2).await;
     for sequence in 1..=5 {
         fixture.publish(sequence).await;
     }
+    client.grant(2).await;
     assert_eq!(
         client.next().await,
         Some((5, 0)),

@@ -93,6 +93,9 @@ impl Watchdog {
 }
 
 #[cfg(test)]
+mod unit_files;
+
+#[cfg(test)]
 mod tests {
     use std::{
         env,

@@ -35,6 +35,8 @@ pub enum Command {
     List(ListArgs),
     /// Replay the embedded capture, serve it, follow it, and show what happens.
     Demo(DemoArgs),
+    /// Measure a tracker against recorded motion.
+    Eval(EvalArgs),
     /// Print the udev rules that let the user at the PC open the devices.
     Udev,
     /// Print shell completions.
@@ -196,6 +198,47 @@ pub struct ListArgs {
     pub json: bool,
 }
 
+/// Arguments of `posed eval`.
+#[derive(Debug, Args)]
+pub struct EvalArgs {
+    /// Motion set (npz); several are evaluated together.
+    #[arg(long, required = true, value_name = "FILE")]
+    pub data: Vec<PathBuf>,
+    /// Which clips of it: train, val, test, cross or ood.
+    #[arg(long, default_value = "test")]
+    pub split: String,
+    /// Only this clip.
+    #[arg(long, value_name = "NAME")]
+    pub clip: Option<String>,
+    /// Which tracker.
+    #[arg(long, default_value = "ik", value_parser = parse_tracker)]
+    pub tracker: posed_tracker::TrackerKind,
+    /// What the wearer has on: hmd, hmd+controllers, hmd+hands or imu6.
+    #[arg(long, default_value = "hmd+controllers", value_parser = parse_sensors)]
+    pub sensors: posed_tracker::eval::Sensors,
+    /// Whose bones the tracker is told: the clip's own, or average ones of the height.
+    #[arg(long, default_value = "clip", value_parser = parse_bones)]
+    pub bones: posed_tracker::eval::Bones,
+    /// Ticks by which the answer may lag the newest sample.
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    pub lookahead: u32,
+    /// Ticks a second.
+    #[arg(long, value_name = "HZ", default_value = "60", value_parser = parse_rate)]
+    pub rate: f64,
+    /// Threads; as many as there are cores where this is left out.
+    #[arg(long, value_name = "N")]
+    pub threads: Option<usize>,
+    /// Write every figure, by clip, by kind of motion and in all.
+    #[arg(long, value_name = "FILE")]
+    pub json: Option<PathBuf>,
+    /// Write the predicted and the true motion (npz).
+    #[arg(long, value_name = "FILE")]
+    pub dump: Option<PathBuf>,
+    /// Write a page with curves, foot contacts and skeletons (HTML).
+    #[arg(long, value_name = "FILE")]
+    pub plot: Option<PathBuf>,
+}
+
 /// Arguments of `posed demo`.
 #[derive(Debug, Args)]
 pub struct DemoArgs {
@@ -238,6 +281,17 @@ fn parse_rate(text: &str) -> Result<f64, String> {
         Ok(rate) if (10.0..=1000.0).contains(&rate) => Ok(rate),
         _ => Err("give poses a second, from 10 to 1000".into()),
     }
+}
+
+fn parse_sensors(text: &str) -> Result<posed_tracker::eval::Sensors, String> {
+    use posed_tracker::eval::Sensors;
+    let names = || Sensors::ALL.map(Sensors::name).join(", ");
+    Sensors::from_name(text).ok_or_else(|| format!("there are {}", names()))
+}
+
+fn parse_bones(text: &str) -> Result<posed_tracker::eval::Bones, String> {
+    let unknown = || "give clip or height".to_owned();
+    posed_tracker::eval::Bones::from_name(text).ok_or_else(unknown)
 }
 
 fn parse_tracker(text: &str) -> Result<posed_tracker::TrackerKind, String> {

@@ -37,6 +37,7 @@ fn run(command: &Command) -> Result<(), CommandError> {
         Command::Simulate(args) => commands::simulate::run(args),
         Command::Follow(args) => commands::follow::run(args),
         Command::List(args) => commands::list::run(args),
+        Command::Eval(args) => commands::eval::run(args),
         Command::Demo(args) => commands::demo::run(args),
         Command::Udev => {
             print!("{}", posed_device::catalog::udev_rules());

@@ -1,6 +1,7 @@
 //! The commands of the command line, one file each.
 
 pub mod demo;
+pub mod eval;
 pub mod follow;
 pub mod inspect;
 pub mod list;

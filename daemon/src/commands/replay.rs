@@ -161,8 +161,11 @@ impl Broadcast {
     /// Serves a pose, and now and then the devices.
     pub fn pose(&mut self, pose: &PublishedPose, source: &Source) {
         let mut served = *pose;
-        served.sample_at = self.pacer.real(pose.sample_at);
         served.target_at = self.pacer.real(pose.target_at);
+        // Zero says that there is no headset yet; that is no time.
+        if pose.sample_at > HostTime(0) {
+            served.sample_at = self.pacer.real(pose.sample_at);
+        }
         for part in &mut served.parts {
             *part = part.map(|part| Pose {
                 at: self.pacer.real(part.at),

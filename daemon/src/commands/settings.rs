@@ -40,7 +40,13 @@ pub fn configuration(args: &BodyArgs) -> Result<Config, CommandError> {
 pub fn options(config: &Config) -> Result<Options, CommandError> {
     let base_stations = match &config.devices.base_stations {
         Some(path) => base_stations(path)?,
-        None => Vec::new(),
+        None => {
+            tracing::warn!(
+                "no base stations are known, so that headset and controllers get no position: \
+                 name their file by --base-stations or devices.base_stations"
+            );
+            Vec::new()
+        }
     };
     let roles = config.devices.roles.iter().map(|(serial, role)| (Serial::new(serial), *role));
     let devices = catalog::Settings {

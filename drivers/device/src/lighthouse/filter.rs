@@ -34,6 +34,11 @@ const GYRO_NOISE: (f64, f64) = (5e-5, 1e-2);
 const ACCEL_NOISE: (f64, f64) = (1e-3, 2e-2);
 /// Densities while a sensor stands at the end of its range: accelerometer, gyroscope.
 const CLIPPED_NOISE: (f64, f64) = (10.0, 1.0);
+/// Samples come at least this often, s. What happened in a longer gap is not known: acceleration
+/// and turn rate may have been off by so much, and by a share of what is measured around it.
+const IMU_INTERVAL: f64 = 0.01;
+const GAP_ACCEL: (f64, f64) = (0.5, 1.0);
+const GAP_GYRO: (f64, f64) = (0.1, 0.5);
 /// Random walks of the biases, per root second.
 const GYRO_BIAS_WALK: f64 = 2e-5;
 const ACCEL_BIAS_WALK: f64 = 3e-4;
@@ -208,9 +213,13 @@ impl Filter {
         let accel = noise(ACCEL_NOISE, (imu.accel.length() - GRAVITY).abs(), clipped.0);
         let gyro = noise(GYRO_NOISE, imu.gyro.length(), clipped.1);
         let walk = |sigma: f64| sigma * sigma * dt;
+        let gap = (dt - IMU_INTERVAL).max(0.0);
+        let gap_accel = gap * (GAP_ACCEL.0 + GAP_ACCEL.1 * (imu.accel.length() - GRAVITY).abs());
+        let gap_gyro = gap * (GAP_GYRO.0 + GAP_GYRO.1 * imu.gyro.length());
         for axis in 0..3 {
-            p[(VELOCITY + axis, VELOCITY + axis)] += accel;
-            p[(ROTATION + axis, ROTATION + axis)] += gyro;
+            p[(POSITION + axis, POSITION + axis)] += (0.5 * gap * gap_accel).powi(2);
+            p[(VELOCITY + axis, VELOCITY + axis)] += accel + gap_accel * gap_accel;
+            p[(ROTATION + axis, ROTATION + axis)] += gyro + gap_gyro * gap_gyro;
             p[(GYRO_BIAS + axis, GYRO_BIAS + axis)] += walk(GYRO_BIAS_WALK);
             p[(ACCEL_BIAS + axis, ACCEL_BIAS + axis)] += walk(ACCEL_BIAS_WALK);
         }
@@ -308,6 +317,12 @@ impl Filter {
             && self.gyro_bias.is_finite()
             && self.accel_bias.is_finite()
             && (0..N).all(|axis| self.covariance[(axis, axis)] > 0.0)
+    }
+
+    /// Goes on at the time of a sample as if nothing had moved in between.
+    pub(super) fn skip_to(&mut self, imu: &ImuSample) {
+        (self.time, self.imu) = (imu.time, self.unbiased(imu));
+        self.nominal.velocity = DVec3::ZERO;
     }
 
     /// Lets the velocity die away, as while nothing has been seen for long.

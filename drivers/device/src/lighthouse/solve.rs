@@ -53,6 +53,10 @@ const FIT: f64 = 4e-3;
 /// A solution is believed when so many of the sightings fit, and with this rms.
 const FIT_SHARE: f64 = 0.65;
 const RMS_MAX: f64 = 1.5e-3;
+/// With this rms there is no need to look for anything better, rad.
+const RMS_GOOD: f64 = 4e-4;
+/// Seeds lean by this much where upright ones lead nowhere, rad.
+const TILT: f64 = 0.7;
 /// One sighting's standard deviation in the covariance: calibration errors repeat from sighting
 /// to sighting, so that they do not average out.
 const SIGMA: f64 = 1e-3;
@@ -100,26 +104,46 @@ impl<'a> Problem<'a> {
         }
     }
 
-    /// Solves without a guess. `None` where there is too little light, or nothing fits it.
-    pub(super) fn solve(&self) -> Option<Solution> {
+    /// Solves. A rotation that may be right can be offered, but need not be there. `None` where
+    /// there is too little light, or nothing fits it.
+    pub(super) fn solve(&self, guess: Option<DQuat>) -> Option<Solution> {
         if self.sightings.len() < SIGHTINGS_MIN {
             return None;
         }
         let bearings = self.bearings();
-        let part = SUBSET as f64 / self.sightings.len() as f64;
         let upright = upright(self.force);
-        let seeds = (0..12)
-            .map(|n| DQuat::from_rotation_y(f64::from(n) * std::f64::consts::TAU / 12.0) * upright);
-        let mut best: Option<Candidate> = None;
+        let turn = |n: u32, of: u32| DQuat::from_rotation_y(f64::from(n * 360 / of).to_radians());
+        let level = (0..12).map(|n| turn(n, 12) * upright);
+        let best = self.best(&bearings, guess.into_iter().chain(level), None);
+        let found = best.and_then(|best| self.finish(&best));
+        if found.as_ref().is_some_and(|found| found.rms < RMS_GOOD) {
+            return found;
+        }
+        // A device that is swung does not tell what is up: try other tilts.
+        let tilt = |n: u32| turn(n, 3) * DQuat::from_rotation_x(TILT) * upright;
+        let tilted = (0..24).map(|n| turn(n % 8, 8) * tilt(n / 8));
+        self.best(&bearings, tilted, best)
+            .and_then(|best| self.finish(&best))
+    }
+
+    /// The best of what seeds lead to, and of `best`.
+    fn best(
+        &self,
+        bearings: &[(DVec3, DVec3, DVec3)],
+        seeds: impl Iterator<Item = DQuat>,
+        mut best: Option<Candidate>,
+    ) -> Option<Candidate> {
+        let part = SUBSET as f64 / self.sightings.len() as f64;
         for rotation in seeds {
-            let Some(position) = self.place(&bearings, rotation) else {
+            let Some(position) = self.place(bearings, rotation) else {
                 continue;
             };
+            let (velocity, cost) = (DVec3::ZERO, f64::MAX);
             let seed = Candidate {
                 position,
-                velocity: DVec3::ZERO,
+                velocity,
                 rotation,
-                cost: f64::MAX,
+                cost,
             };
             let found = SOFT
                 .iter()
@@ -128,7 +152,7 @@ impl<'a> Problem<'a> {
                 best = Some(found);
             }
         }
-        self.finish(self.refine(best?, 1.0, SOFT_LAST, 20))
+        best
     }
 
     /// Directions in the world in which sensors were seen, from where.
@@ -309,7 +333,8 @@ impl<'a> Problem<'a> {
     }
 
     /// Whether the light is explained, and how well.
-    fn finish(&self, found: Candidate) -> Option<Solution> {
+    fn finish(&self, near: &Candidate) -> Option<Solution> {
+        let found = self.refine(*near, 1.0, SOFT_LAST, 20);
         let (mut squares, mut fitting, mut all, mut sensors) = (0.0, 0usize, 0usize, 0u32);
         for entry in &self.sightings {
             let Some((residual, _)) = self.residual(&found, entry) else {
@@ -480,7 +505,7 @@ mod tests {
             });
         }
         let force = accel(DQuat::IDENTITY);
-        Problem::new(stations, model, sightings.into_iter(), &motion, force).solve()
+        Problem::new(stations, model, sightings.into_iter(), &motion, force).solve(None)
     }
 
     proptest! {
@@ -525,8 +550,8 @@ mod tests {
             angle: f64::from(n.wrapping_mul(2_654_435_761) >> 16) / 65_536.0 - 0.5,
         });
         let problem = Problem::new(&stations, &model, noise, &motion, sample.accel);
-        assert!(problem.solve().is_none());
+        assert!(problem.solve(None).is_none());
         let none = Problem::new(&stations, &model, [].into_iter(), &motion, sample.accel);
-        assert!(none.solve().is_none());
+        assert!(none.solve(None).is_none());
     }
 }

@@ -38,8 +38,8 @@ const BRIDGE: f64 = 0.3;
 const COAST: f64 = 0.5;
 /// After this long without light the device is lost, s.
 const LOST: f64 = 3.0;
-/// A gap in the inertial samples that ends the track, s.
-const IMU_GAP: f64 = 0.25;
+/// A gap in the inertial samples over which the filter cannot be carried, s.
+const IMU_GAP: f64 = 0.08;
 /// Share of the sweeps that has to fit, over about the last hundred.
 const FITTING: f64 = 0.35;
 /// Weight of a sweep in the running figures.
@@ -123,12 +123,26 @@ impl Track {
         (turn * sample.gyro, turn * sample.accel)
     }
 
-    /// Forgets everything, as when the device's clock jumped.
+    /// Forgets the device's whereabouts.
     pub(super) fn reset(&mut self) {
+        self.clear();
+        self.tracking = None;
+    }
+
+    /// Goes on after a gap, or a jump of the device's clock: what was learnt about biases stays,
+    /// the pose is held until it is found again.
+    fn skip_to(&mut self, sample: &ImuSample) {
+        self.clear();
+        if let Some(tracking) = &mut self.tracking {
+            tracking.filter.skip_to(sample);
+            tracking.light = sample.time - COAST;
+        }
+    }
+
+    fn clear(&mut self) {
         self.samples.clear();
         self.sightings.clear();
         self.waiting.clear();
-        self.tracking = None;
         self.search_after = f64::NEG_INFINITY;
     }
 
@@ -137,7 +151,7 @@ impl Track {
         if let Some(last) = self.samples.back() {
             let step = sample.time - last.time;
             if step.abs() > IMU_GAP {
-                self.reset();
+                self.skip_to(&sample);
             } else if step <= 0.0 {
                 return;
             }
@@ -331,7 +345,11 @@ impl Track {
             .copied();
         let force = mean_force(&unbiased, &motion, begin);
         let problem = Problem::new(&self.stations, &self.model, seen, &motion, force);
-        let Some(solution) = problem.solve() else {
+        let guess = self
+            .tracking
+            .as_ref()
+            .map(|tracking| tracking.filter.nominal.rotation);
+        let Some(solution) = problem.solve(guess) else {
             return;
         };
         self.counters.found += 1;

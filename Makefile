@@ -33,6 +33,7 @@ demo: native
 # Skipped tests print a line that says so; --nocapture lets it through.
 test: native
 	cargo test --workspace --locked -- --nocapture
+	RUSTFLAGS="--cfg loom" cargo test -p posed-signal --lib --locked --target-dir target/loom loom
 
 bench: native
 	cargo bench --locked -p posed-tests

@@ -150,7 +150,9 @@ impl Listing {
         self.last = Some(now);
         self.past.resize(devices.len(), Past::default());
         let pairs = devices.iter().zip(&mut self.past);
-        pairs.map(|(device, past)| state(device, past, now, seconds)).collect()
+        pairs
+            .map(|(device, past)| state(device, past, now, seconds))
+            .collect()
     }
 }
 

@@ -106,8 +106,10 @@ impl Person {
 
     fn device(&self, model: Model, mount: Mount, joint: Joint) -> Device {
         let trajectory = Arc::clone(&self.trajectory);
-        let (position, rotation): (DVec3, DQuat) =
-            (mount.position.as_dvec3(), mount.rotation.as_dquat().normalize());
+        let (position, rotation): (DVec3, DQuat) = (
+            mount.position.as_dvec3(),
+            mount.rotation.as_dquat().normalize(),
+        );
         Device::new(model, move |seconds: f64| {
             let carried = trajectory.joint(joint, seconds).carry(position, rotation);
             Placement {

@@ -50,12 +50,21 @@ fn quantiles(mut ns: Vec<u64>) -> String {
     }
     ns.sort_unstable();
     let at = |share: f64| ns[((ns.len() - 1) as f64 * share) as usize] as f64 / 1e3;
-    format!("p50 {:9.1} us   p99 {:9.1} us   max {:9.1} us", at(0.5), at(0.99), at(1.0))
+    format!(
+        "p50 {:9.1} us   p99 {:9.1} us   max {:9.1} us",
+        at(0.5),
+        at(0.99),
+        at(1.0)
+    )
 }
 
 /// Everything on one thread, stepped by the capture's time.
 fn stages() {
-    let Assembly { mut source, mut tracker, .. } = assemble(Box::new(replay()), options());
+    let Assembly {
+        mut source,
+        mut tracker,
+        ..
+    } = assemble(Box::new(replay()), options());
     let (mut read, mut decode, mut track) = (Vec::new(), Vec::new(), Vec::new());
     let (mut read_ns, mut decode_ns, mut packets) = (0u64, 0u64, 0u64);
     let mut next: Option<HostTime> = None;
@@ -113,8 +122,12 @@ struct Paced {
 impl Transport for Paced {
     fn next(&mut self, wait_ns: u64) -> Event {
         let event = self.pending.take().unwrap_or_else(|| self.inner.next(0));
-        let Event::Packet(mut packet) = event else { return event };
-        let (from, start) = *self.origin.get_or_insert_with(|| (packet.at, Monotonic.now()));
+        let Event::Packet(mut packet) = event else {
+            return event;
+        };
+        let (from, start) = *self
+            .origin
+            .get_or_insert_with(|| (packet.at, Monotonic.now()));
         if packet.at.since_secs(from) > LIVE_S {
             return Event::End;
         }
@@ -145,9 +158,15 @@ impl Transport for Paced {
 /// Source and tracker on their threads, against the real clock.
 fn live() {
     let arrivals = Arc::new(Mutex::new(Vec::with_capacity(200_000)));
-    let paced =
-        Paced { inner: replay(), pending: None, origin: None, arrivals: Arc::clone(&arrivals) };
-    let Assembly { source, tracker, .. } = assemble(Box::new(paced), options());
+    let paced = Paced {
+        inner: replay(),
+        pending: None,
+        origin: None,
+        arrivals: Arc::clone(&arrivals),
+    };
+    let Assembly {
+        source, tracker, ..
+    } = assemble(Box::new(paced), options());
     let shared = Arc::new(Shared::default());
     let source = spawn_source(source, Arc::clone(&shared), |_| {}, |_| {}).expect("a thread");
     let published = Arc::new(Mutex::new(Vec::with_capacity(10_000)));
@@ -173,7 +192,9 @@ fn live() {
         }
     }
     let period_us = 1e6 / RATE_HZ;
-    println!("report in -> pose published, live threads, {RATE_HZ} Hz (a tick is {period_us:.0} us)");
+    println!(
+        "report in -> pose published, live threads, {RATE_HZ} Hz (a tick is {period_us:.0} us)"
+    );
     println!("  {}", quantiles(waits));
     println!(
         "  {} ticks, {} began over half a period late, the latest {:.1} us late; real-time \
@@ -181,6 +202,10 @@ fn live() {
         shared.ticks.load(Ordering::Relaxed),
         shared.late_ticks.load(Ordering::Relaxed),
         shared.lateness_max_ns.load(Ordering::Relaxed) as f64 / 1e3,
-        if shared.real_time.load(Ordering::Relaxed) { "granted" } else { "refused" },
+        if shared.real_time.load(Ordering::Relaxed) {
+            "granted"
+        } else {
+            "refused"
+        },
     );
 }

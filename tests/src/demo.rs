@@ -51,13 +51,18 @@ fn devices_are_where_they_truly_are() {
     let run = run();
     let truth = truth();
     for role in [Role::Head, Role::LeftHand, Role::RightHand] {
-        let device = run.devices.iter().find(|device| device.role == role).expect("all are there");
+        let device = run
+            .devices
+            .iter()
+            .find(|device| device.role == role)
+            .expect("all are there");
         let poses = run.optical(device.id, 1.0);
         let (mut positions, mut rotations) = (Vec::new(), Vec::new());
         for line in truth.iter().filter(|line| line["role"] == role.name()) {
             let time = HostTime(line["t_ns"].as_u64().expect("a time"));
             let next = poses.partition_point(|pose| pose.at < time);
-            let (Some(before), Some(after)) = (next.checked_sub(1).map(|n| poses[n]), poses.get(next))
+            let (Some(before), Some(after)) =
+                (next.checked_sub(1).map(|n| poses[n]), poses.get(next))
             else {
                 continue;
             };
@@ -71,22 +76,34 @@ fn devices_are_where_they_truly_are() {
             let true_position = Vec3::from_array(numbers(&line["position"]));
             let true_rotation = Quat::from_array(numbers(&line["rotation"]));
             positions.push(f64::from((position - true_position).length()) * 1e3);
-            rotations.push(f64::from(rotation.angle_between(true_rotation).to_degrees()));
+            rotations.push(f64::from(
+                rotation.angle_between(true_rotation).to_degrees(),
+            ));
         }
-        assert!(positions.len() > 1_000, "{role}: {} can be compared", positions.len());
+        assert!(
+            positions.len() > 1_000,
+            "{role}: {} can be compared",
+            positions.len()
+        );
         let [p50, p99] = [0.5, 0.99].map(|share| quantile(&mut positions, share));
         let [r50, r99] = [0.5, 0.99].map(|share| quantile(&mut rotations, share));
         println!("{role}: median {p50:.2} mm {r50:.3} deg, p99 {p99:.2} mm {r99:.3} deg");
         assert!(p50 < 2.0 && p99 < 10.0, "{role}: {p50} mm, {p99} mm");
-        assert!(r50 < 0.2 && r99 < 1.0, "{role}: {r50} degrees, {r99} degrees");
+        assert!(
+            r50 < 0.2 && r99 < 1.0,
+            "{role}: {r50} degrees, {r99} degrees"
+        );
     }
 }
 
 #[test]
 fn the_tracker_loop_does_not_allocate() {
     let transport = replay().expect("embedded");
-    let Assembly { mut source, mut tracker, .. } =
-        assemble(Box::new(transport), options().expect("embedded"));
+    let Assembly {
+        mut source,
+        mut tracker,
+        ..
+    } = assemble(Box::new(transport), options().expect("embedded"));
     let (mut ticks, mut next) = (0u32, None);
     loop {
         let event = source.next(0);

@@ -11,29 +11,70 @@ const FORBIDDEN: [(&str, &[&str]); 5] = [
     (
         "posed-signal",
         &[
-            "tokio", "serde", "tracing", "posed-device", "posed-body", "posed-tracker",
-            "posed-proto", "posed",
+            "tokio",
+            "serde",
+            "tracing",
+            "posed-device",
+            "posed-body",
+            "posed-tracker",
+            "posed-proto",
+            "posed",
         ],
     ),
-    ("posed-device", &["posed-body", "posed-tracker", "posed-proto", "posed", "ort", "tokio"]),
-    ("posed-body", &["posed-device", "tokio", "ort", "posed-tracker", "posed-proto", "posed"]),
-    ("posed-tracker", &["posed-device", "tokio", "tonic", "posed-proto", "posed"]),
+    (
+        "posed-device",
+        &[
+            "posed-body",
+            "posed-tracker",
+            "posed-proto",
+            "posed",
+            "ort",
+            "tokio",
+        ],
+    ),
+    (
+        "posed-body",
+        &[
+            "posed-device",
+            "tokio",
+            "ort",
+            "posed-tracker",
+            "posed-proto",
+            "posed",
+        ],
+    ),
+    (
+        "posed-tracker",
+        &["posed-device", "tokio", "tonic", "posed-proto", "posed"],
+    ),
     (
         "posed-proto",
-        &["posed-signal", "posed-device", "posed-body", "posed-tracker", "posed", "ort"],
+        &[
+            "posed-signal",
+            "posed-device",
+            "posed-body",
+            "posed-tracker",
+            "posed",
+            "ort",
+        ],
     ),
 ];
 
 /// Every crate that `start` needs to run, itself left out.
 fn needs(metadata: &cargo_metadata::Metadata, start: &str) -> BTreeSet<String> {
-    let resolve = metadata.resolve.as_ref().expect("cargo metadata resolves the workspace");
+    let resolve = metadata
+        .resolve
+        .as_ref()
+        .expect("cargo metadata resolves the workspace");
     let name_of = |id: &cargo_metadata::PackageId| metadata[id].name.to_string();
     let first = resolve.nodes.iter().find(|node| name_of(&node.id) == start);
     let mut waiting = vec![first.expect("the crate is in the workspace")];
     let mut seen = BTreeSet::new();
     while let Some(node) = waiting.pop() {
         let normal = |dep: &&cargo_metadata::NodeDep| {
-            dep.dep_kinds.iter().any(|kind| kind.kind == DependencyKind::Normal)
+            dep.dep_kinds
+                .iter()
+                .any(|kind| kind.kind == DependencyKind::Normal)
         };
         for dep in node.deps.iter().filter(normal) {
             if seen.insert(name_of(&dep.pkg)) {
@@ -70,13 +111,19 @@ pub(crate) fn sources() -> Vec<(String, String)> {
     for room in ["drivers", "policy", "proto", "daemon", "tests"] {
         collect(&root().join(room), &mut found);
     }
-    assert!(found.len() > 20, "the sources are where they are looked for");
+    assert!(
+        found.len() > 20,
+        "the sources are where they are looked for"
+    );
     found.sort();
     found
 }
 
 fn collect(folder: &Path, found: &mut Vec<(String, String)>) {
-    for entry in fs::read_dir(folder).expect("a room can be listed").flatten() {
+    for entry in fs::read_dir(folder)
+        .expect("a room can be listed")
+        .flatten()
+    {
         let path = entry.path();
         if path.is_dir() && path.file_name().is_some_and(|name| name != "target") {
             collect(&path, found);
@@ -101,7 +148,9 @@ fn only_one_file_names_onnx_runtime() {
         .into_iter()
         .filter(|(path, text)| {
             path.starts_with("policy/tracker/src")
-                && text.lines().any(|line| line.contains("ort::") && !line.contains("port::"))
+                && text
+                    .lines()
+                    .any(|line| line.contains("ort::") && !line.contains("port::"))
         })
         .map(|(path, _)| path)
         .collect();
@@ -122,7 +171,11 @@ fn only_one_file_converts_between_domain_and_protocol() {
 #[test]
 fn only_the_daemon_reads_the_clock_and_the_environment_and_spawns_threads() {
     const RESERVED: [&str; 6] = [
-        "Instant::now", "SystemTime::now", "thread::spawn", "thread::sleep", "env::var",
+        "Instant::now",
+        "SystemTime::now",
+        "thread::spawn",
+        "thread::sleep",
+        "env::var",
         "thread::Builder",
     ];
     for (path, text) in sources() {
@@ -131,7 +184,10 @@ fn only_the_daemon_reads_the_clock_and_the_environment_and_spawns_threads() {
             continue;
         }
         for name in RESERVED {
-            assert!(!production(&path, &text).contains(name), "{path} uses {name}");
+            assert!(
+                !production(&path, &text).contains(name),
+                "{path} uses {name}"
+            );
         }
     }
 }
@@ -145,9 +201,16 @@ fn there_are_no_mutable_statics() {
         for line in production(&path, &text).lines() {
             let line = line.trim_start();
             let is_static = line.starts_with("static ") || line.starts_with("pub static ");
-            let mutable = ["static mut", "Mutex<", "RwLock<", "OnceLock<", "LazyLock<", "Atomic"]
-                .iter()
-                .any(|word| line.contains(word));
+            let mutable = [
+                "static mut",
+                "Mutex<",
+                "RwLock<",
+                "OnceLock<",
+                "LazyLock<",
+                "Atomic",
+            ]
+            .iter()
+            .any(|word| line.contains(word));
             assert!(!(is_static && mutable), "{path}: {line}");
         }
     }

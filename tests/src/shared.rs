@@ -5,7 +5,10 @@ use std::path::{Path, PathBuf};
 /// The repository's root.
 pub(crate) fn root() -> PathBuf {
     let tests = Path::new(env!("CARGO_MANIFEST_DIR"));
-    tests.parent().expect("the tests lie in the repository").to_path_buf()
+    tests
+        .parent()
+        .expect("the tests lie in the repository")
+        .to_path_buf()
 }
 
 /// A path below the shared folder: `POSED_SHARED`, else `../shared` beside the repository.

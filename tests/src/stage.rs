@@ -49,7 +49,11 @@ impl Watcher for Run {
 impl Run {
     /// Replays `transport` at 90 Hz.
     pub(crate) fn of(transport: impl Transport + 'static, options: Options) -> Self {
-        let Assembly { mut source, mut tracker, .. } = assemble(Box::new(transport), options);
+        let Assembly {
+            mut source,
+            mut tracker,
+            ..
+        } = assemble(Box::new(transport), options);
         let mut run = Self::default();
         run.span = replay(&mut source, &mut tracker, 90.0, &mut run);
         run.devices = source.rig().devices().to_vec();
@@ -68,7 +72,10 @@ impl Run {
 
     /// The device of a serial number.
     pub(crate) fn device(&self, serial: &str) -> &DeviceInfo {
-        let found = self.devices.iter().find(|d| d.identity.serial.as_str() == serial);
+        let found = self
+            .devices
+            .iter()
+            .find(|d| d.identity.serial.as_str() == serial);
         found.unwrap_or_else(|| panic!("{serial} is not among {:?}", self.devices))
     }
 
@@ -80,14 +87,22 @@ impl Run {
             _ => None,
         };
         let optical = |pose: &Pose| pose.how == PoseHow::Optical && pose.at >= begin;
-        self.samples.iter().filter_map(pose).filter(optical).collect()
+        self.samples
+            .iter()
+            .filter_map(pose)
+            .filter(optical)
+            .collect()
     }
 
     /// Share of ticks, from `seconds` after the start on, at which light stood behind the newest
     /// pose of a role.
     pub(crate) fn tracked(&self, role: Role, seconds: f64) -> f64 {
         let begin = self.span.start.plus_secs(seconds);
-        let ticks: Vec<_> = self.poses.iter().filter(|pose| pose.target_at >= begin).collect();
+        let ticks: Vec<_> = self
+            .poses
+            .iter()
+            .filter(|pose| pose.target_at >= begin)
+            .collect();
         let tracked = ticks.iter().filter(|tick| {
             let part = tick.parts[role as usize].fresh();
             part.is_some_and(|pose| pose.how == PoseHow::Optical)
@@ -98,7 +113,10 @@ impl Run {
 
 /// The value below which `share` of `values` lie.
 pub(crate) fn quantile(values: &mut [f64], share: f64) -> f64 {
-    assert!(!values.is_empty(), "there is something to take a quantile of");
+    assert!(
+        !values.is_empty(),
+        "there is something to take a quantile of"
+    );
     values.sort_by(f64::total_cmp);
     values[((values.len() - 1) as f64 * share) as usize]
 }

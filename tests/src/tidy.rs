@@ -18,7 +18,10 @@ fn lines_fit_and_nothing_is_left_to_do() {
     for (path, text) in sources() {
         for (number, line) in text.lines().enumerate() {
             let place = format!("{path}:{}", number + 1);
-            assert!(line.chars().count() <= 110, "{place} is longer than 110 columns");
+            assert!(
+                line.chars().count() <= 110,
+                "{place} is longer than 110 columns"
+            );
             if path != "tests/src/tidy.rs" {
                 for mark in ["TODO", "FIXME", "unimplemented!(", "todo!("] {
                     assert!(!line.contains(mark), "{place} holds {mark}");

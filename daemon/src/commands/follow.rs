@@ -18,9 +18,14 @@ pub fn run(args: &FollowArgs) -> Result<(), CommandError> {
         Some(text) => text.parse().map_err(crate::follow::FollowError::from)?,
         None => Server::of_user(),
     };
-    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
+    let runtime = tokio::runtime::Builder::new_current_thread()
+        .enable_all()
+        .build()?;
     let (format, output) = if args.json {
-        (Format::Json, Box::new(BufWriter::new(io::stdout())) as Box<dyn io::Write>)
+        (
+            Format::Json,
+            Box::new(BufWriter::new(io::stdout())) as Box<dyn io::Write>,
+        )
     } else {
         (Format::Text, Box::new(io::stdout()) as Box<dyn io::Write>)
     };

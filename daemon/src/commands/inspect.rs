@@ -75,7 +75,10 @@ pub fn run(args: &InspectArgs) -> Result<(), CommandError> {
     let inspection = inspect(&args.file)?;
     if args.json {
         let value = inspection.json(&args.file);
-        println!("{}", serde_json::to_string_pretty(&value).map_err(std::io::Error::from)?);
+        println!(
+            "{}",
+            serde_json::to_string_pretty(&value).map_err(std::io::Error::from)?
+        );
     } else {
         print!("{}", inspection.text(&args.file));
     }
@@ -130,7 +133,11 @@ impl Inspection {
     /// As JSON.
     #[must_use]
     pub fn json(&self, path: &Path) -> Value {
-        let devices: Vec<_> = self.devices.iter().map(|(port, found)| found.json(*port)).collect();
+        let devices: Vec<_> = self
+            .devices
+            .iter()
+            .map(|(port, found)| found.json(*port))
+            .collect();
         json!({
             "file": path.display().to_string(),
             "seconds": self.seconds(),
@@ -200,7 +207,9 @@ impl Found {
 
     fn text(&self, port: Port, text: &mut String) {
         let report = self.inspector.report();
-        let id = self.id.map_or_else(|| "????:????".into(), |id| id.to_string());
+        let id = self
+            .id
+            .map_or_else(|| "????:????".into(), |id| id.to_string());
         let name = report.model.or(self.entry).unwrap_or("unknown device");
         let serial = report.serial.as_deref().unwrap_or("");
         let _ = writeln!(text, "\n{port}  {id}  {name}  {serial}");
@@ -228,7 +237,9 @@ impl Found {
             );
         }
         for (channel, seen) in &report.channels {
-            let rotor = seen.rotor_hz.map_or_else(String::new, |hz| format!(", rotor {hz:.4} Hz"));
+            let rotor = seen
+                .rotor_hz
+                .map_or_else(String::new, |hz| format!(", rotor {hz:.4} Hz"));
             let _ = writeln!(
                 text,
                 "    channel {channel}: {} sweeps, {} syncs{rotor}",
@@ -236,7 +247,11 @@ impl Found {
             );
         }
         if let Some(configuration) = &report.configuration {
-            let _ = writeln!(text, "  configuration: {} bytes of JSON", configuration.len());
+            let _ = writeln!(
+                text,
+                "  configuration: {} bytes of JSON",
+                configuration.len()
+            );
         }
     }
 }

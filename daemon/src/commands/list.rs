@@ -39,7 +39,10 @@ pub fn run(args: &ListArgs) -> Result<(), CommandError> {
                 })
             })
             .collect();
-        println!("{}", serde_json::to_string_pretty(&all).map_err(io::Error::from)?);
+        println!(
+            "{}",
+            serde_json::to_string_pretty(&all).map_err(io::Error::from)?
+        );
         return Ok(());
     }
     if devices.is_empty() {
@@ -68,7 +71,9 @@ fn devices(hidraw: &Path) -> Result<Vec<Listed>, CommandError> {
     for entry in entries.flatten() {
         let text = fs::read_to_string(entry.path().join("device/uevent")).unwrap_or_default();
         let Some(id) = hid_id(&text) else { continue };
-        let Some(known) = catalog::find(id) else { continue };
+        let Some(known) = catalog::find(id) else {
+            continue;
+        };
         let node = Path::new("/dev").join(entry.file_name());
         let listed = found.entry(id).or_insert_with(|| Listed {
             id,
@@ -100,9 +105,15 @@ fn explain(node: &Path, error: &io::Error) -> String {
 
 /// `HID_ID=0003:000028DE:00002300` of a hidraw node's `uevent`; bus 3 is USB.
 fn hid_id(uevent: &str) -> Option<UsbId> {
-    let id = uevent.lines().find_map(|line| line.strip_prefix("HID_ID="))?;
+    let id = uevent
+        .lines()
+        .find_map(|line| line.strip_prefix("HID_ID="))?;
     let mut parts = id.split(':').map(|part| u32::from_str_radix(part, 16));
-    let (bus, vendor, product) = (parts.next()?.ok()?, parts.next()?.ok()?, parts.next()?.ok()?);
+    let (bus, vendor, product) = (
+        parts.next()?.ok()?,
+        parts.next()?.ok()?,
+        parts.next()?.ok()?,
+    );
     let short = |number: u32| u16::try_from(number).ok();
     (bus == 3).then_some(UsbId::new(short(vendor)?, short(product)?))
 }

@@ -21,7 +21,10 @@ pub fn transport() -> Result<(Box<dyn Transport>, Arc<AtomicBool>), CommandError
         backends.push(Box::new(usb));
     }
     let spawn: Spawn = Box::new(|name, job| {
-        thread::Builder::new().name(name.to_owned()).spawn(job).map(drop)
+        thread::Builder::new()
+            .name(name.to_owned())
+            .spawn(job)
+            .map(drop)
     });
     let transport = Live::new(backends, Arc::new(Monotonic), spawn)?;
     Ok((Box::new(transport), stop_flag()?))

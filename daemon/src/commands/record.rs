@@ -50,8 +50,18 @@ pub fn run(args: &RecordArgs) -> Result<(), CommandError> {
             Taken::Something | Taken::Nothing => {}
         }
         source.tick(Monotonic.now());
-        let devices = source.rig().devices().iter().filter(|device| device.connected).count();
-        let packets: u64 = source.rig().devices().iter().map(|d| d.counters.packets).sum();
+        let devices = source
+            .rig()
+            .devices()
+            .iter()
+            .filter(|device| device.connected)
+            .count();
+        let packets: u64 = source
+            .rig()
+            .devices()
+            .iter()
+            .map(|d| d.counters.packets)
+            .sum();
         progress.set_message(format!("{devices} devices, {packets} packets"));
         progress.tick();
     }
@@ -83,7 +93,10 @@ impl Transport for Tap {
             }
             // The tap is all that this command is for: without it there is nothing to go on with.
             Err(error) => {
-                eprintln!("error: the capture ends after {} packets: {error}", self.written);
+                eprintln!(
+                    "error: the capture ends after {} packets: {error}",
+                    self.written
+                );
                 Event::End
             }
         }

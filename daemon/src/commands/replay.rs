@@ -47,11 +47,14 @@ pub fn recording(path: &Path) -> Result<Recording, CommandError> {
 }
 
 /// `NAME.usbdevs` beside `NAME.pcap.gz`, as libsurvive writes it.
-pub(super) fn identities_beside(path: &Path) -> Vec<(posed_device::usb::Port, posed_device::usb::UsbId)> {
+pub(super) fn identities_beside(
+    path: &Path,
+) -> Vec<(posed_device::usb::Port, posed_device::usb::UsbId)> {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     let stem = name.split(".pcap").next().unwrap_or(&name);
     let beside = path.with_file_name(format!("{stem}.usbdevs"));
-    std::fs::read_to_string(beside).map_or_else(|_| Vec::new(), |text| identity::parse_usbdevs(&text))
+    std::fs::read_to_string(beside)
+        .map_or_else(|_| Vec::new(), |text| identity::parse_usbdevs(&text))
 }
 
 /// Replays the captures and prints what came of them.
@@ -61,7 +64,11 @@ pub(super) fn identities_beside(path: &Path) -> Vec<(posed_device::usb::Port, po
 pub fn run(args: &ReplayArgs) -> Result<(), CommandError> {
     let config = settings::configuration(&args.body)?;
     let options = settings::options(&config)?;
-    let recordings = args.files.iter().map(|path| recording(path)).collect::<Result<Vec<_>, _>>()?;
+    let recordings = args
+        .files
+        .iter()
+        .map(|path| recording(path))
+        .collect::<Result<Vec<_>, _>>()?;
     let transport = Replay::new(recordings, Merge::OneSession);
     let Assembly {
         mut source,
@@ -74,8 +81,12 @@ pub fn run(args: &ReplayArgs) -> Result<(), CommandError> {
     if args.serve {
         let wearer = Wearer::of_height(config.wearer.height_m);
         let runtime_dir = config::files::runtime_dir();
-        let (sink, server) =
-            Serving::start(&config.grpc, runtime_dir.as_deref(), wearer, Arc::new(Monotonic))?;
+        let (sink, server) = Serving::start(
+            &config.grpc,
+            runtime_dir.as_deref(),
+            wearer,
+            Arc::new(Monotonic),
+        )?;
         for name in server.names() {
             tracing::info!("serving on {name}");
         }
@@ -87,14 +98,22 @@ pub fn run(args: &ReplayArgs) -> Result<(), CommandError> {
         serving = Some(server);
     }
     let begun = Monotonic.now();
-    let span = replay(&mut source, &mut tracker, config.tracker.rate_hz, &mut watcher);
+    let span = replay(
+        &mut source,
+        &mut tracker,
+        config.tracker.rate_hz,
+        &mut watcher,
+    );
     let wall_s = Monotonic.now().since_secs(begun);
     let report = watcher.finish(source.rig().devices(), span.seconds(), wall_s)?;
     if let Some(server) = serving {
         server.stop(async {});
     }
     if args.json {
-        println!("{}", serde_json::to_string_pretty(&report).map_err(std::io::Error::from)?);
+        println!(
+            "{}",
+            serde_json::to_string_pretty(&report).map_err(std::io::Error::from)?
+        );
     } else {
         print!("{}", report.text());
     }
@@ -174,7 +193,7 @@ impl Broadcast {
         }
         served.publish_at = Monotonic.now();
         self.sink.publish(&served);
-        if pose.sequence % LISTING_POSES == 0 {
+        if pose.sequence.is_multiple_of(LISTING_POSES) {
             let devices = source.rig().devices();
             self.devices
                 .send_replace(self.listing.states(devices, pose.target_at));
@@ -198,7 +217,9 @@ impl Outputs {
     fn new(args: &OutputArgs, speed: Speed) -> Result<Self, CommandError> {
         let create = |path: &Option<std::path::PathBuf>| {
             path.as_deref()
-                .map(|path| JsonLines::create(path).map_err(|error| CommandError::file(path, error)))
+                .map(|path| {
+                    JsonLines::create(path).map_err(|error| CommandError::file(path, error))
+                })
                 .transpose()
         };
         let style = ProgressStyle::with_template("{spinner} {msg}");
@@ -266,9 +287,10 @@ impl Watcher for Outputs {
             }
         }
         let first = *self.first.get_or_insert(pose.target_at);
-        if pose.sequence % 90 == 0 {
+        if pose.sequence.is_multiple_of(90) {
             let seconds = pose.target_at.since_ns(first) / SECOND_NS as i64;
-            self.progress.set_message(format!("{seconds} s replayed, {}", pose.quality.name()));
+            self.progress
+                .set_message(format!("{seconds} s replayed, {}", pose.quality.name()));
             self.progress.tick();
         }
     }

@@ -55,7 +55,12 @@ pub fn run(args: &RunArgs) -> Result<(), CommandError> {
     let warn = |text: &str| tracing::warn!("{text}");
     let source = spawn_source(source, Arc::clone(&shared), list, warn)?;
     let publish = move |pose: &crate::published::PublishedPose| sink.publish(pose);
-    let tracker = spawn_tracker(tracker, config.tracker.rate_hz, Arc::clone(&shared), publish)?;
+    let tracker = spawn_tracker(
+        tracker,
+        config.tracker.rate_hz,
+        Arc::clone(&shared),
+        publish,
+    )?;
 
     let mut notifier = Notifier::from_env();
     wait_for_first_tick(&shared)?;
@@ -71,12 +76,16 @@ pub fn run(args: &RunArgs) -> Result<(), CommandError> {
     }
     notifier.stopping();
     shared.stop.store(true, Ordering::Relaxed);
-    let ended = [tracker.join(), source.join()].into_iter().all(|thread| thread.is_ok());
+    let ended = [tracker.join(), source.join()]
+        .into_iter()
+        .all(|thread| thread.is_ok());
     serving.stop(async {});
     if ended {
         Ok(())
     } else {
-        Err(CommandError::Input("a thread of the tracker failed; this is a bug".into()))
+        Err(CommandError::Input(
+            "a thread of the tracker failed; this is a bug".into(),
+        ))
     }
 }
 

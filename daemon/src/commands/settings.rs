@@ -48,7 +48,11 @@ pub fn options(config: &Config) -> Result<Options, CommandError> {
             Vec::new()
         }
     };
-    let roles = config.devices.roles.iter().map(|(serial, role)| (Serial::new(serial), *role));
+    let roles = config
+        .devices
+        .roles
+        .iter()
+        .map(|(serial, role)| (Serial::new(serial), *role));
     let devices = catalog::Settings {
         lighthouse: lighthouse::Settings { base_stations },
     };

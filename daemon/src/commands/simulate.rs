@@ -37,8 +37,7 @@ pub fn run(args: &SimulateArgs) -> Result<(), CommandError> {
         std::fs::write(path, text).map_err(|error| CommandError::file(path, error))?;
     }
     if let Some(path) = &args.truth {
-        let mut lines =
-            JsonLines::create(path).map_err(|error| CommandError::file(path, error))?;
+        let mut lines = JsonLines::create(path).map_err(|error| CommandError::file(path, error))?;
         for truth in simulator.truth(TRUTH_STEP_NS) {
             lines.line(&truth);
         }

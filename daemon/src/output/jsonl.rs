@@ -40,12 +40,19 @@ impl JsonLines {
     /// The file cannot be created.
     pub fn create(path: &Path) -> io::Result<Self> {
         let output = Some(BufWriter::with_capacity(1 << 16, File::create(path)?));
-        Ok(Self { path: path.to_path_buf(), output, error: None, lines: 0 })
+        Ok(Self {
+            path: path.to_path_buf(),
+            output,
+            error: None,
+            lines: 0,
+        })
     }
 
     /// Writes one line.
     pub fn line(&mut self, value: &impl Serialize) {
-        let Some(output) = &mut self.output else { return };
+        let Some(output) = &mut self.output else {
+            return;
+        };
         let written = serde_json::to_writer(&mut *output, value)
             .map_err(io::Error::from)
             .and_then(|()| output.write_all(b"\n"));
@@ -78,7 +85,10 @@ impl JsonLines {
     /// # Errors
     /// The first error of any write, with the file's name.
     pub fn finish(mut self) -> io::Result<u64> {
-        let flushed = self.output.take().map_or(Ok(()), |mut output| output.flush());
+        let flushed = self
+            .output
+            .take()
+            .map_or(Ok(()), |mut output| output.flush());
         match self.error.map_or(flushed, Err) {
             Ok(()) => Ok(self.lines),
             Err(error) => {
@@ -100,13 +110,20 @@ mod tests {
     fn lines_hold_what_they_should() {
         let path = std::env::temp_dir().join(format!("posed-jsonl-{}", std::process::id()));
         let mut lines = JsonLines::create(&path).unwrap();
-        lines.device(&Serial::new("LHR-1"), Role::Head, &Pose::unknown(HostTime(7)));
+        lines.device(
+            &Serial::new("LHR-1"),
+            Role::Head,
+            &Pose::unknown(HostTime(7)),
+        );
         assert_eq!(lines.finish().unwrap(), 1);
         let text = std::fs::read_to_string(&path).unwrap();
         std::fs::remove_file(&path).unwrap();
         let line: serde_json::Value = serde_json::from_str(text.trim_end()).unwrap();
         assert_eq!((&line["t_ns"], &line["role"]), (&7.into(), &"head".into()));
-        assert_eq!((&line["how"], &line["device"]), (&"lost".into(), &"LHR-1".into()));
+        assert_eq!(
+            (&line["how"], &line["device"]),
+            (&"lost".into(), &"LHR-1".into())
+        );
         assert_eq!(line["rotation"][3], 1.0);
     }
 

@@ -99,7 +99,9 @@ pub fn spawn_tracker(
         while !shared.stop.load(Ordering::Relaxed) {
             sleep_until(&Monotonic, due);
             let late = Monotonic.now().since_ns(due);
-            shared.lateness_max_ns.fetch_max(late.unsigned_abs(), Ordering::Relaxed);
+            shared
+                .lateness_max_ns
+                .fetch_max(late.unsigned_abs(), Ordering::Relaxed);
             if late > period_ns / 2 {
                 shared.late_ticks.fetch_add(1, Ordering::Relaxed);
             }
@@ -121,8 +123,8 @@ fn next_due(due: HostTime, period_ns: i64, now: HostTime) -> HostTime {
 /// Asks for real-time scheduling of this thread; a refusal is no failure, but is reported.
 fn promote() -> bool {
     use thread_priority::{
-        RealtimeThreadSchedulePolicy, ThreadPriority, ThreadSchedulePolicy, set_thread_priority_and_policy,
-        thread_native_id,
+        RealtimeThreadSchedulePolicy, ThreadPriority, ThreadSchedulePolicy,
+        set_thread_priority_and_policy, thread_native_id,
     };
     let Ok(priority) = FIFO_PRIORITY.try_into() else {
         return false;

@@ -51,7 +51,11 @@ pub fn replay(
     rate_hz: f64,
     watcher: &mut dyn Watcher,
 ) -> Span {
-    let mut steps = Steps { clock: VirtualClock::default(), span: Span::default(), rate_hz };
+    let mut steps = Steps {
+        clock: VirtualClock::default(),
+        span: Span::default(),
+        rate_hz,
+    };
     let mut started = false;
     loop {
         let event = source.next(0);

@@ -4,12 +4,7 @@ use posed_device::{
     rig::Rig,
     transport::{Event, Transport},
 };
-use posed_signal::{
-    HostTime, Role,
-    device::DEVICES_MAX,
-    latest::Writer,
-    time::MILLISECOND_NS,
-};
+use posed_signal::{HostTime, Role, device::DEVICES_MAX, latest::Writer, time::MILLISECOND_NS};
 
 use super::tracking::RoleTable;
 

@@ -4,10 +4,8 @@
 //! who ticks it: a real-time thread, a replay that steps time, or a test.
 
 use posed_signal::{
-    Clock, DeviceId, History, HostTime, Lookup, Pose, Role, Sample,
-    device::DEVICES_MAX,
-    latest::Reader,
-    ring::Consumer,
+    Clock, DeviceId, History, HostTime, Lookup, Pose, Role, Sample, device::DEVICES_MAX,
+    latest::Reader, ring::Consumer,
 };
 use posed_tracker::{Input, Tracked, Tracker, TrackerKind, Wearer, ik::Ik, sensors::Mounts};
 
@@ -102,7 +100,11 @@ impl TrackerLoop {
             wearer: setup.wearer,
             mounts: Mounts::index(&setup.wearer),
             latency: LatencyModel::new(setup.horizon_ns),
-            last: Tracked { pose, quality: posed_tracker::Quality::Held, kind: TrackerKind::Ik },
+            last: Tracked {
+                pose,
+                quality: posed_tracker::Quality::Held,
+                kind: TrackerKind::Ik,
+            },
             counters: Counters::default(),
         }
     }
@@ -193,8 +195,15 @@ impl TrackerLoop {
     }
 
     fn track(&mut self, target: HostTime, parts: &[Lookup<Pose>; Role::COUNT]) -> Tracked {
-        let input = Input { target, parts, wearer: &self.wearer };
-        let chosen = self.trackers.iter_mut().find(|tracker| tracker.kind() == self.choice);
+        let input = Input {
+            target,
+            parts,
+            wearer: &self.wearer,
+        };
+        let chosen = self
+            .trackers
+            .iter_mut()
+            .find(|tracker| tracker.kind() == self.choice);
         let answer = match chosen {
             Some(tracker) => tracker.track(&input),
             None => self.fallback.track(&input),
@@ -219,7 +228,11 @@ impl TrackerLoop {
         parts: &[Lookup<Pose>; Role::COUNT],
         tracked: Tracked,
     ) -> PublishedPose {
-        let head = self.histories.iter().zip(&self.roles).find(|(_, role)| **role == Role::Head);
+        let head = self
+            .histories
+            .iter()
+            .zip(&self.roles)
+            .find(|(_, role)| **role == Role::Head);
         let newest = head.and_then(|(history, _)| history.newest());
         let sample_at = newest.map_or(HostTime(0), |pose| pose.at);
         if newest.is_some() {
@@ -242,7 +255,10 @@ impl TrackerLoop {
 /// Puts a pose into its history. A stream whose time falls back far has started anew: its past is
 /// of another clock.
 fn take(history: &mut History<Pose, HISTORY>, pose: Pose) -> bool {
-    if history.newest().is_some_and(|newest| newest.at.since_ns(pose.at) > RESTART_NS) {
+    if history
+        .newest()
+        .is_some_and(|newest| newest.at.since_ns(pose.at) > RESTART_NS)
+    {
         history.clear();
     }
     history.push(pose)

@@ -85,8 +85,11 @@ impl Setup {
     /// The bytes on the wire.
     #[must_use]
     pub fn to_bytes(self) -> [u8; 8] {
-        let ([v0, v1], [i0, i1], [l0, l1]) =
-            (self.value.to_le_bytes(), self.index.to_le_bytes(), self.length.to_le_bytes());
+        let ([v0, v1], [i0, i1], [l0, l1]) = (
+            self.value.to_le_bytes(),
+            self.index.to_le_bytes(),
+            self.length.to_le_bytes(),
+        );
         [self.request_type, self.request, v0, v1, i0, i1, l0, l1]
     }
 
@@ -160,9 +163,15 @@ mod tests {
     #[test]
     fn set_up_packets_are_recognised() {
         let read = Setup::from_bytes([0xa1, 0x01, 0x10, 0x03, 0, 0, 64, 0]);
-        assert_eq!((read.feature_read(), read.feature_write()), (Some(0x10), None));
+        assert_eq!(
+            (read.feature_read(), read.feature_write()),
+            (Some(0x10), None)
+        );
         let write = Setup::from_bytes([0x21, 0x09, 0x04, 0x03, 0, 0, 64, 0]);
-        assert_eq!((write.feature_read(), write.feature_write()), (None, Some(0x04)));
+        assert_eq!(
+            (write.feature_read(), write.feature_write()),
+            (None, Some(0x04))
+        );
         assert!(Setup::from_bytes([0x80, 6, 0, 1, 0, 0, 18, 0]).is_get_device_descriptor());
         assert_eq!(read.to_bytes(), [0xa1, 0x01, 0x10, 0x03, 0, 0, 64, 0]);
     }

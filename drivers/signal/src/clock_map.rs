@@ -75,7 +75,10 @@ impl ClockMap {
     /// A map for a counter of `ticks_per_second` (48 MHz for Lighthouse devices).
     #[must_use]
     pub fn new(ticks_per_second: f64) -> Self {
-        assert!(ticks_per_second > 0.0, "a clock that stands still cannot be mapped");
+        assert!(
+            ticks_per_second > 0.0,
+            "a clock that stands still cannot be mapped"
+        );
         Self {
             ticks_per_second,
             buckets: [None; BUCKETS],
@@ -96,9 +99,15 @@ impl ClockMap {
         let jumped = self.is_jump(device_ns, offset_ns);
         if jumped {
             let jumps = self.jumps + 1;
-            *self = Self { jumps, ..Self::new(self.ticks_per_second) };
+            *self = Self {
+                jumps,
+                ..Self::new(self.ticks_per_second)
+            };
         }
-        self.insert(Bucket { device_ns, offset_ns });
+        self.insert(Bucket {
+            device_ns,
+            offset_ns,
+        });
         jumped
     }
 
@@ -121,7 +130,11 @@ impl ClockMap {
         if ticks < last_ticks {
             return Some(mapped.min(last_time));
         }
-        let time = if ticks == last_ticks { last_time } else { mapped.max(last_time.plus_ns(1)) };
+        let time = if ticks == last_ticks {
+            last_time
+        } else {
+            mapped.max(last_time.plus_ns(1))
+        };
         self.last = Some((ticks, time));
         Some(time)
     }
@@ -149,7 +162,9 @@ impl ClockMap {
     }
 
     fn is_jump(&mut self, device_ns: u64, offset_ns: i64) -> bool {
-        let Some(expected) = self.offset_at(device_ns) else { return false };
+        let Some(expected) = self.offset_at(device_ns) else {
+            return false;
+        };
         let late = offset_ns.saturating_sub(expected);
         if late < JUMP_NS && late > -JUMP_NS {
             self.late_since_ns = None;
@@ -184,7 +199,10 @@ impl ClockMap {
         if fresh {
             self.drift = self.estimate_drift();
             self.offset = self.lowest();
-        } else if self.offset_at(seen.device_ns).is_none_or(|offset| seen.offset_ns < offset) {
+        } else if self
+            .offset_at(seen.device_ns)
+            .is_none_or(|offset| seen.offset_ns < offset)
+        {
             self.offset = Some(seen);
         }
     }
@@ -239,7 +257,11 @@ mod tests {
         let mut unwrap = TickUnwrap::default();
         let first = unwrap.extend(0xffff_fff0);
         assert_eq!(unwrap.extend(0x10) - first, 0x20);
-        assert_eq!(first + 0x18, unwrap.extend(0x8), "an older value is older, not a wrap");
+        assert_eq!(
+            first + 0x18,
+            unwrap.extend(0x8),
+            "an older value is older, not a wrap"
+        );
         assert_eq!(unwrap.extend(0x20) - first, 0x30);
     }
 
@@ -271,7 +293,11 @@ mod tests {
         for n in 0..2_000u64 {
             let true_ns = n * MILLISECOND_NS;
             // 300 ms of reports arrive in one burst.
-            let arrival = if (1_000..1_300).contains(&n) { 1_300 * MILLISECOND_NS } else { true_ns };
+            let arrival = if (1_000..1_300).contains(&n) {
+                1_300 * MILLISECOND_NS
+            } else {
+                true_ns
+            };
             assert!(!map.observe((1 << 32) + n * 48_000, HostTime(arrival)));
         }
     }

@@ -165,6 +165,9 @@ mod tests {
     fn serials_are_cut_and_printable() {
         assert_eq!(Serial::new("LHR-DFCF00EE").as_str(), "LHR-DFCF00EE");
         assert_eq!(Serial::new("a\nb\u{e9}").as_str(), "a?b?");
-        assert_eq!(Serial::new(&"x".repeat(99)).as_str().len(), Serial::BYTES_MAX);
+        assert_eq!(
+            Serial::new(&"x".repeat(99)).as_str().len(),
+            Serial::BYTES_MAX
+        );
     }
 }

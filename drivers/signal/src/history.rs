@@ -144,7 +144,11 @@ pub struct History<T, const N: usize> {
 impl<T: Motion, const N: usize> Default for History<T, N> {
     fn default() -> Self {
         const { assert!(N >= 2, "interpolation needs two samples") };
-        Self { samples: [None; N], taken: 0, out_of_order: 0 }
+        Self {
+            samples: [None; N],
+            taken: 0,
+            out_of_order: 0,
+        }
     }
 }
 
@@ -152,7 +156,10 @@ impl<T: Motion, const N: usize> History<T, N> {
     /// Takes a sample. One that is not newer than the newest is refused (`false`) and counted:
     /// a stream's time only moves forward, and what the past was has been answered already.
     pub fn push(&mut self, sample: T) -> bool {
-        if self.newest().is_some_and(|newest| sample.at() <= newest.at()) {
+        if self
+            .newest()
+            .is_some_and(|newest| sample.at() <= newest.at())
+        {
             self.out_of_order += 1;
             return false;
         }
@@ -192,20 +199,26 @@ impl<T: Motion, const N: usize> History<T, N> {
     }
 
     fn nth_newest(&self, n: usize) -> Option<T> {
-        (n < self.len()).then(|| self.samples[(self.taken - 1 - n) % N]).flatten()
+        (n < self.len())
+            .then(|| self.samples[(self.taken - 1 - n) % N])
+            .flatten()
     }
 
     /// The value at `time`.
     #[must_use]
     pub fn at(&self, time: HostTime) -> Lookup<T> {
-        let Some(newest) = self.newest() else { return Lookup::Empty };
+        let Some(newest) = self.newest() else {
+            return Lookup::Empty;
+        };
         let ahead = time.since_ns(newest.at());
         if ahead > 0 {
             return Self::beyond(newest, ahead);
         }
         let mut later = newest;
         for n in 0..self.len() {
-            let Some(sample) = self.nth_newest(n) else { break };
+            let Some(sample) = self.nth_newest(n) else {
+                break;
+            };
             if sample.at() == time {
                 return Lookup::Exact(sample);
             }
@@ -221,10 +234,16 @@ impl<T: Motion, const N: usize> History<T, N> {
 
     fn beyond(nearest: T, ns: i64) -> Lookup<T> {
         if ns.abs() > STALE_NS {
-            return Lookup::Stale { value: nearest, age_ns: ns };
+            return Lookup::Stale {
+                value: nearest,
+                age_ns: ns,
+            };
         }
         let reach = ns.clamp(-EXTRAPOLATE_NS_MAX, EXTRAPOLATE_NS_MAX);
-        Lookup::Extrapolated { value: nearest.extrapolate(reach), by_ns: ns }
+        Lookup::Extrapolated {
+            value: nearest.extrapolate(reach),
+            by_ns: ns,
+        }
     }
 }
 
@@ -259,9 +278,27 @@ mod tests {
         let at = |ms: u64| history.at(HostTime(ms * MILLISECOND_NS));
         assert!(matches!(at(1_010), Lookup::Exact(_)));
         assert!(matches!(at(1_015), Lookup::Interpolated(_)));
-        assert!(matches!(at(1_030), Lookup::Extrapolated { by_ns: 10_000_000, .. }));
-        assert!(matches!(at(990), Lookup::Extrapolated { by_ns: -10_000_000, .. }));
-        assert!(matches!(at(1_600), Lookup::Stale { age_ns: 580_000_000, .. }));
+        assert!(matches!(
+            at(1_030),
+            Lookup::Extrapolated {
+                by_ns: 10_000_000,
+                ..
+            }
+        ));
+        assert!(matches!(
+            at(990),
+            Lookup::Extrapolated {
+                by_ns: -10_000_000,
+                ..
+            }
+        ));
+        assert!(matches!(
+            at(1_600),
+            Lookup::Stale {
+                age_ns: 580_000_000,
+                ..
+            }
+        ));
         assert_eq!(at(1_600).fresh(), None);
         assert!(at(1_600).value().is_some());
     }

@@ -57,7 +57,9 @@ pub struct Reader<T> {
 
 impl<T> Clone for Reader<T> {
     fn clone(&self) -> Self {
-        Self { shared: Arc::clone(&self.shared) }
+        Self {
+            shared: Arc::clone(&self.shared),
+        }
     }
 }
 
@@ -72,7 +74,14 @@ pub fn latest<T: Copy + Send>() -> (Writer<T>, Reader<T>) {
         newest: AtomicUsize::new(NOTHING_YET),
         dropped: AtomicU64::new(0),
     });
-    (Writer { shared: Arc::clone(&shared), count: 0, next: 0 }, Reader { shared })
+    (
+        Writer {
+            shared: Arc::clone(&shared),
+            count: 0,
+            next: 0,
+        },
+        Reader { shared },
+    )
 }
 
 impl<T: Copy + Send> Writer<T> {
@@ -96,8 +105,9 @@ impl<T: Copy + Send> Writer<T> {
 
     fn fill(&self, index: usize, value: T) -> bool {
         let slot = &self.shared.slots[index];
-        let claim =
-            slot.readers.compare_exchange(0, CLAIMED, Ordering::Acquire, Ordering::Relaxed);
+        let claim = slot
+            .readers
+            .compare_exchange(0, CLAIMED, Ordering::Acquire, Ordering::Relaxed);
         if claim.is_err() {
             return false;
         }
@@ -168,7 +178,9 @@ mod tests {
                 std::thread::spawn(move || {
                     let mut last = 0;
                     while last < 20_000 {
-                        let Some((number, value)) = reader.get() else { continue };
+                        let Some((number, value)) = reader.get() else {
+                            continue;
+                        };
                         assert!(value.iter().all(|&word| word == number));
                         assert!(number >= last);
                         last = number;

@@ -50,15 +50,28 @@ pub struct Consumer<T> {
 #[must_use]
 pub fn ring<T: Copy + Send>(capacity: usize) -> (Producer<T>, Consumer<T>) {
     let capacity = capacity.max(2).next_power_of_two();
-    let slots = (0..capacity).map(|_| UnsafeCell::new(MaybeUninit::uninit())).collect();
+    let slots = (0..capacity)
+        .map(|_| UnsafeCell::new(MaybeUninit::uninit()))
+        .collect();
     let shared = Arc::new(Shared {
         slots,
         tail: Line(AtomicUsize::new(0)),
         head: Line(AtomicUsize::new(0)),
         dropped: Line(AtomicU64::new(0)),
     });
-    let producer = Producer { shared: Arc::clone(&shared), tail: 0, head_seen: 0 };
-    (producer, Consumer { shared, head: 0, tail_seen: 0 })
+    let producer = Producer {
+        shared: Arc::clone(&shared),
+        tail: 0,
+        head_seen: 0,
+    };
+    (
+        producer,
+        Consumer {
+            shared,
+            head: 0,
+            tail_seen: 0,
+        },
+    )
 }
 
 impl<T> Shared<T> {
@@ -122,7 +135,11 @@ impl<T: Copy + Send> Consumer<T> {
     /// Values that wait.
     #[must_use]
     pub fn waiting(&self) -> usize {
-        self.shared.tail.0.load(Ordering::Acquire).wrapping_sub(self.head)
+        self.shared
+            .tail
+            .0
+            .load(Ordering::Acquire)
+            .wrapping_sub(self.head)
     }
 }
 
@@ -200,7 +217,9 @@ mod loom_tests {
         loom::model(|| {
             let (mut producer, mut consumer) = ring(2);
             let writer = loom::thread::spawn(move || {
-                (0..3u8).filter(|&value| producer.push(value)).collect::<Vec<_>>()
+                (0..3u8)
+                    .filter(|&value| producer.push(value))
+                    .collect::<Vec<_>>()
             });
             let mut read: Vec<u8> = (0..2).filter_map(|_| consumer.pop()).collect();
             let written = writer.join().unwrap();

@@ -126,7 +126,14 @@ impl Buttons {
     /// Nothing pressed.
     #[must_use]
     pub fn released(at: HostTime) -> Self {
-        Self { at, pressed: 0, touched: 0, trigger: 0.0, squeeze: 0.0, stick: [0.0; 2] }
+        Self {
+            at,
+            pressed: 0,
+            touched: 0,
+            trigger: 0.0,
+            squeeze: 0.0,
+            stick: [0.0; 2],
+        }
     }
 }
 

@@ -51,9 +51,16 @@ fn grid(joints: &Joints, view: View) -> [[char; WIDTH]; HEIGHT] {
         (x, y)
     };
     for index in 1..JOINTS {
-        let Some(parent) = PARENTS[index] else { continue };
+        let Some(parent) = PARENTS[index] else {
+            continue;
+        };
         let mark = mark(index, view);
-        line(&mut cells, place(joints.positions[parent]), place(joints.positions[index]), mark);
+        line(
+            &mut cells,
+            place(joints.positions[parent]),
+            place(joints.positions[index]),
+            mark,
+        );
     }
     let crown = joints.position(Joint::Head) + joints.rotation(Joint::Head) * (Vec3::Y * 0.14);
     line(&mut cells, place(crown), place(crown), 'O');

@@ -110,7 +110,9 @@ pub fn run(args: &DemoArgs) -> Result<(), CommandError> {
     })
     .map_err(|_| CommandError::Input("the replay's thread failed; this is a bug".into()))?;
     let wall_s = Monotonic.now().since_secs(begun);
-    let report = served.tally.report(source.rig().devices(), span.seconds(), wall_s);
+    let report = served
+        .tally
+        .report(source.rig().devices(), span.seconds(), wall_s);
     drop(served);
     let summary = serving.stop(screen.finish());
     let _ = std::fs::remove_dir(&folder);

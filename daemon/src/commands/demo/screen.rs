@@ -90,7 +90,14 @@ impl View {
             line(followed, summary)
         };
         let mut output = std::io::stdout().lock();
-        let up = std::mem::replace(&mut self.lines, if self.terminal { text.lines().count() } else { 0 });
+        let up = std::mem::replace(
+            &mut self.lines,
+            if self.terminal {
+                text.lines().count()
+            } else {
+                0
+            },
+        );
         if up > 0 {
             let _ = write!(output, "\x1b[{up}A");
         }

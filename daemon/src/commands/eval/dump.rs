@@ -35,12 +35,20 @@ fn both(archive: &mut Archive, folder: &str, dump: &Dump) -> io::Result<()> {
 }
 
 fn joints(archive: &mut Archive, name: &str, track: &Track) -> io::Result<()> {
-    let numbers = track.positions.iter().flatten().flat_map(|position| position.to_array());
+    let numbers = track
+        .positions
+        .iter()
+        .flatten()
+        .flat_map(|position| position.to_array());
     array(archive, name, &[track.len(), JOINTS, 3], numbers)
 }
 
 fn rotations(archive: &mut Archive, name: &str, track: &Track) -> io::Result<()> {
-    let numbers = track.local.iter().flatten().flat_map(|turn| turn.to_array());
+    let numbers = track
+        .local
+        .iter()
+        .flatten()
+        .flat_map(|turn| turn.to_array());
     array(archive, name, &[track.len(), JOINTS, 4], numbers)
 }
 
@@ -62,6 +70,12 @@ fn array(
 
 /// Names of clips may hold anything; names in the archive are kept plain.
 fn file_name(name: &str) -> String {
-    let plain = |c: char| if c.is_ascii_alphanumeric() || c == '-' { c } else { '_' };
+    let plain = |c: char| {
+        if c.is_ascii_alphanumeric() || c == '-' {
+            c
+        } else {
+            '_'
+        }
+    };
     name.chars().map(plain).collect()
 }

@@ -38,7 +38,11 @@ struct Job {
 /// # Errors
 /// A set cannot be read, nothing is in the split, or an output cannot be written.
 pub fn run(args: &EvalArgs) -> Result<(), CommandError> {
-    let sets = args.data.iter().map(|path| read(path)).collect::<Result<Vec<_>, _>>()?;
+    let sets = args
+        .data
+        .iter()
+        .map(|path| read(path))
+        .collect::<Result<Vec<_>, _>>()?;
     let jobs = jobs(&sets, args)?;
     let options = Options {
         sensors: args.sensors,
@@ -100,8 +104,16 @@ fn jobs(sets: &[MotionSet], args: &EvalArgs) -> Result<Vec<Job>, CommandError> {
         jobs.extend(wanted.map(|(clip, _)| Job { set, clip }));
     }
     if jobs.is_empty() {
-        let names: Vec<_> = args.data.iter().map(|path| path.display().to_string()).collect();
-        let problem = format!("no clip of the split `{}` in {}", args.split, names.join(", "));
+        let names: Vec<_> = args
+            .data
+            .iter()
+            .map(|path| path.display().to_string())
+            .collect();
+        let problem = format!(
+            "no clip of the split `{}` in {}",
+            args.split,
+            names.join(", ")
+        );
         return Err(CommandError::Input(problem));
     }
     Ok(jobs)
@@ -141,7 +153,9 @@ fn evaluate_all(
     progress.finish_and_clear();
     let done = done.into_inner().unwrap_or_default();
     let lost = || CommandError::Input("an evaluation thread failed; this is a bug".into());
-    done.into_iter().map(|result| result.unwrap_or_else(|| Err(lost()))).collect()
+    done.into_iter()
+        .map(|result| result.unwrap_or_else(|| Err(lost())))
+        .collect()
 }
 
 fn claim(next: &AtomicUsize, end: usize) -> Option<usize> {
@@ -166,7 +180,11 @@ fn one(
 fn text(report: &Report) -> String {
     let mut text = format!("{:<28} {:>5} {:>7}", "motion", "clips", "s");
     for &metric in Metric::ALL {
-        text += &format!(" {:>width$}", metric.name(), width = metric.name().len().max(7));
+        text += &format!(
+            " {:>width$}",
+            metric.name(),
+            width = metric.name().len().max(7)
+        );
     }
     text.push('\n');
     for row in report.classes.iter().chain([&report.all]) {
@@ -186,4 +204,3 @@ fn line(row: &Row, text: &mut String) {
     }
     text.push('\n');
 }
-

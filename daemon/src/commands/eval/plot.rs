@@ -28,7 +28,10 @@ const STYLE: &str = "body{font:14px system-ui,sans-serif;margin:2em;max-width:11
 
 /// The page, HTML with its pictures inside.
 pub(super) fn page(results: &[ClipResult], tracker: &str) -> String {
-    let mut order: Vec<_> = results.iter().filter(|result| result.dump.is_some()).collect();
+    let mut order: Vec<_> = results
+        .iter()
+        .filter(|result| result.dump.is_some())
+        .collect();
     let error = |result: &ClipResult| result.scores.get(Metric::MpjpeHead).unwrap_or(0.0);
     order.sort_by(|a, b| error(b).total_cmp(&error(a)));
     let mut page = format!(
@@ -37,7 +40,11 @@ pub(super) fn page(results: &[ClipResult], tracker: &str) -> String {
          <p>Predicted in orange, true in grey.",
         results.len()
     );
-    let picks = [("worst", 0), ("median", order.len() / 2), ("best", order.len().max(1) - 1)];
+    let picks = [
+        ("worst", 0),
+        ("median", order.len() / 2),
+        ("best", order.len().max(1) - 1),
+    ];
     for (which, index) in picks {
         if let Some(result) = order.get(index) {
             clip(&mut page, which, result, error(result));
@@ -67,7 +74,10 @@ fn escape(text: &str) -> String {
 fn curve(page: &mut String, errors: &[f64], fps: f64) {
     const HEIGHT: f64 = 160.0;
     let top = errors.iter().copied().fold(1.0, f64::max);
-    let _ = write!(page, "<svg width={WIDTH} height={HEIGHT} viewBox='0 0 {WIDTH} {HEIGHT}'>");
+    let _ = write!(
+        page,
+        "<svg width={WIDTH} height={HEIGHT} viewBox='0 0 {WIDTH} {HEIGHT}'>"
+    );
     for share in [0.25, 0.5, 0.75] {
         let y = HEIGHT * share;
         let _ = write!(page, "<line class=g x1=0 x2={WIDTH} y1={y} y2={y} />");
@@ -75,7 +85,11 @@ fn curve(page: &mut String, errors: &[f64], fps: f64) {
     let step = errors.len().div_ceil(POINTS).max(1);
     let scale = WIDTH / errors.len().max(1) as f64;
     let point = |(index, error): (usize, &f64)| {
-        format!("{:.1},{:.1}", index as f64 * scale, HEIGHT * (1.0 - error / top))
+        format!(
+            "{:.1},{:.1}",
+            index as f64 * scale,
+            HEIGHT * (1.0 - error / top)
+        )
     };
     let points: Vec<_> = errors.iter().enumerate().step_by(step).map(point).collect();
     let seconds = errors.len() as f64 / fps;
@@ -91,9 +105,15 @@ fn curve(page: &mut String, errors: &[f64], fps: f64) {
 fn feet(page: &mut String, dump: &Dump) {
     const ROW: f64 = 12.0;
     let height = 4.0 * ROW + 6.0;
-    let _ = write!(page, "<svg width={WIDTH} height={height} viewBox='0 0 {WIDTH} {height}'>");
+    let _ = write!(
+        page,
+        "<svg width={WIDTH} height={height} viewBox='0 0 {WIDTH} {height}'>"
+    );
     let mut y = 0.0;
-    for (foot, name) in [(Joint::LeftFoot, "left foot"), (Joint::RightFoot, "right foot")] {
+    for (foot, name) in [
+        (Joint::LeftFoot, "left foot"),
+        (Joint::RightFoot, "right foot"),
+    ] {
         for (track, class) in [(&dump.predicted, "pb"), (&dump.truth, "tb")] {
             bars(page, &standing(track, foot), class, y, ROW - 2.0);
             y += ROW;
@@ -139,7 +159,10 @@ fn bars(page: &mut String, on: &[bool], class: &str, y: f64, height: f64) {
 /// Skeletons at even times, seen from where the wearer's chest looked.
 fn strip(page: &mut String, dump: &Dump) {
     const HEIGHT: f64 = 220.0;
-    let _ = write!(page, "<svg width={WIDTH} height={HEIGHT} viewBox='0 0 {WIDTH} {HEIGHT}'>");
+    let _ = write!(
+        page,
+        "<svg width={WIDTH} height={HEIGHT} viewBox='0 0 {WIDTH} {HEIGHT}'>"
+    );
     let frames = dump.predicted.len().min(dump.truth.len());
     for place in 0..STRIP.min(frames) {
         let frame = place * (frames - 1) / (STRIP - 1).max(1);
@@ -148,7 +171,14 @@ fn strip(page: &mut String, dump: &Dump) {
         let turn = dump.truth.world[frame][Joint::Pelvis as usize];
         let side = (turn * Vec3::Z).cross(Vec3::Y).normalize_or(Vec3::X);
         for (track, class) in [(&dump.truth, "t"), (&dump.predicted, "p")] {
-            skeleton(page, &track.positions[frame], class, pelvis, side, (middle, HEIGHT));
+            skeleton(
+                page,
+                &track.positions[frame],
+                class,
+                pelvis,
+                side,
+                (middle, HEIGHT),
+            );
         }
     }
     page.push_str("</svg>");
@@ -165,7 +195,10 @@ fn skeleton(
     const PIXELS: f64 = 105.0;
     let place = |joint: Vec3| {
         let across = f64::from((joint - pelvis).dot(side));
-        (middle + across * PIXELS, bottom - 6.0 - f64::from(joint.y) * PIXELS)
+        (
+            middle + across * PIXELS,
+            bottom - 6.0 - f64::from(joint.y) * PIXELS,
+        )
     };
     let mut path = String::new();
     for (index, parent) in PARENTS.into_iter().enumerate() {

@@ -3,10 +3,13 @@
 
 /// Messages and services of `posed.v1`.
 pub mod v1 {
-    #![allow(missing_docs, clippy::all, reason = "generated; the .proto files are documented")]
+    #![allow(
+        missing_docs,
+        clippy::all,
+        reason = "generated; the .proto files are documented"
+    )]
     tonic::include_proto!("posed.v1");
 }
 
 /// The encoded `FileDescriptorSet` of `posed.v1`, comments included, for server reflection.
-pub const FILE_DESCRIPTOR_SET: &[u8] =
-    include_bytes!(concat!(env!("OUT_DIR"), "/descriptors.bin"));
+pub const FILE_DESCRIPTOR_SET: &[u8] = include_bytes!(concat!(env!("OUT_DIR"), "/descriptors.bin"));

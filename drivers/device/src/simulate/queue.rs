@@ -5,20 +5,29 @@ use std::collections::VecDeque;
 
 use super::light::Word;
 
-/// Devices report a hit this long after it.
-const PROCESSING_S: f64 = 3e-3;
-/// More words than this are lost.
-const WAITING_MAX: usize = 256;
-
 /// Words between sensors and reports.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub(super) struct LightQueue {
+    /// The device reports a hit this long after it, seconds.
+    processing_s: f64,
+    /// More words than this do not wait; what comes then is lost.
+    waiting_max: usize,
     seen: Vec<Word>,
     ready: VecDeque<Word>,
     lost: u64,
 }
 
 impl LightQueue {
+    pub(super) fn new(processing_s: f64, waiting_max: usize) -> Self {
+        Self {
+            processing_s,
+            waiting_max,
+            seen: Vec::new(),
+            ready: VecDeque::new(),
+            lost: 0,
+        }
+    }
+
     /// Takes what the device sees of a rotation.
     pub(super) fn extend(&mut self, words: Vec<Word>) {
         self.seen.extend(words);
@@ -26,7 +35,7 @@ impl LightQueue {
 
     /// Makes ready what has been processed by `now` (seconds), channel by channel.
     pub(super) fn process(&mut self, now: f64) {
-        let until = now - PROCESSING_S;
+        let until = now - self.processing_s;
         let mut batch: Vec<Word> = self
             .seen
             .extract_if(.., |word| word.seen_s <= until)
@@ -38,7 +47,7 @@ impl LightQueue {
                 .unwrap_or(std::cmp::Ordering::Equal)
         });
         for word in batch {
-            if self.ready.len() < WAITING_MAX {
+            if self.ready.len() < self.waiting_max {
                 self.ready.push_back(word);
             } else {
                 self.lost += 1;
@@ -88,7 +97,7 @@ mod tests {
 
     #[test]
     fn words_wait_and_are_grouped() {
-        let mut queue = LightQueue::default();
+        let mut queue = LightQueue::new(3e-3, 256);
         queue.extend(vec![
             word(0.010, 8),
             word(0.011, 2),
@@ -106,7 +115,7 @@ mod tests {
 
     #[test]
     fn streams_stay_within_their_bounds() {
-        let mut queue = LightQueue::default();
+        let mut queue = LightQueue::new(3e-3, 256);
         queue.extend(
             (0..400)
                 .map(|n| word(f64::from(n) * 1e-5, (n % 2) as u8))
@@ -120,6 +129,6 @@ mod tests {
             assert!(stream.len() <= 25);
             words += stream.len() / 4;
         }
-        assert_eq!(words, WAITING_MAX);
+        assert_eq!(words, 256);
     }
 }

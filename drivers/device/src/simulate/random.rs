@@ -11,6 +11,7 @@ use rand_pcg::Pcg64Mcg;
 pub(super) enum Purpose {
     Device = 1,
     Clock,
+    Interval,
     Imu,
     Light,
     Rotor,

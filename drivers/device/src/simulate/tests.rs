@@ -3,12 +3,15 @@
 use std::f64::consts::{PI, TAU};
 
 use glam::{DQuat, DVec3};
+use posed_signal::{PoseHow, Role, Sample};
 use proptest::prelude::*;
 
 use super::*;
 use crate::lighthouse::model::DeviceModel;
 use crate::lighthouse::reader::{Event, Reader};
 use crate::lighthouse::reproject::{PLANE_CENTRE, reproject};
+use crate::rig::{self, Rig};
+use crate::{catalog, lighthouse};
 
 /// A smooth, fast motion about `centre`: up to 1.3 m/s and 2.5 rad/s.
 fn swaying(centre: DVec3) -> impl Path {
@@ -121,7 +124,7 @@ fn the_configuration_arrives_as_it_was_made() {
 #[test]
 fn every_inertial_sample_arrives_once() {
     // Wired, every sample comes through; by radio too when the radio loses nothing.
-    for (index, interval) in [(0, 47_990), (1, 191_960)] {
+    for (index, nominal) in [(0, 48_000.0), (1, 192_000.0)] {
         let mut simulator = simulator(exact(2.0));
         let events = events(&mut simulator, index);
         let ticks: Vec<u64> = events
@@ -131,15 +134,21 @@ fn every_inertial_sample_arrives_once() {
                 _ => None,
             })
             .collect();
-        let expected = (2.0 * 48e6 / f64::from(interval)) as usize;
+        let apart: Vec<u64> = ticks.windows(2).map(|pair| pair[1] - pair[0]).collect();
+        let interval = apart.iter().sum::<u64>() as f64 / apart.len() as f64;
+        assert!((interval / nominal - 1.0).abs() < 0.02, "{interval} ticks");
+        // A controller's counter shows every 256th tick.
         assert!(
-            (expected - 6..=expected).contains(&ticks.len()),
+            apart
+                .iter()
+                .all(|&one| (one as f64 - interval).abs() < 257.0)
+        );
+        let expected = (2.0 * 48e6 / interval) as usize;
+        assert!(
+            (expected - 6..=expected + 1).contains(&ticks.len()),
             "{} samples",
             ticks.len()
         );
-        // A controller's counter shows every 256th tick.
-        let apart = |pair: &[u64]| (pair[1] - pair[0]).abs_diff(interval as u64) < 257;
-        assert!(ticks.windows(2).skip(3).all(apart));
     }
 }
 
@@ -259,6 +268,69 @@ fn what_stands_in_the_light_hides_a_station() {
     };
     assert_eq!(channels(vec![]), [2, 8]);
     assert_eq!(channels(vec![wall]), [8]);
+}
+
+/// Errors of a device's poses, metres and rad, each sorted.
+fn tracking_errors(role: Role) -> [Vec<f64>; 2] {
+    let simulator = simulator(options(6.0));
+    let (start, stations) = (simulator.options.start, simulator.stations().to_vec());
+    let lighthouse = lighthouse::Settings {
+        base_stations: stations,
+    };
+    let (mut rig, mut rings) = Rig::new(rig::Settings {
+        devices: catalog::Settings { lighthouse },
+        ..rig::Settings::default()
+    });
+    let index = simulator
+        .units
+        .iter()
+        .position(|unit| unit.device.model.role() == role)
+        .unwrap();
+    let port = simulator.units[index].port;
+    let path = &swaying([DVec3::new(0.0, 1.6, 0.0), DVec3::new(-0.4, 1.0, -0.3)][index]);
+    let [mut position, mut rotation] = [Vec::new(), Vec::new()];
+    for packet in simulator.filter(|packet| packet.port == port) {
+        rig.packet(&packet);
+        for sample in rings
+            .iter_mut()
+            .flat_map(|ring| std::iter::from_fn(|| ring.pop()))
+        {
+            let Sample::Pose(pose) = sample else { continue };
+            assert_eq!(pose.how, PoseHow::Optical);
+            let truth = path.at(pose.at.since_secs(start));
+            position.push(pose.position.as_dvec3().distance(truth.position));
+            let turn = truth.rotation.conjugate() * pose.rotation.as_dquat();
+            rotation.push(2.0 * turn.xyz().length().min(1.0).asin());
+        }
+    }
+    assert_eq!(rig.devices()[0].role, role);
+    assert_eq!(rig.devices()[0].counters.decode_errors, 0);
+    [position, rotation].map(|mut errors| {
+        errors.sort_by(f64::total_cmp);
+        errors
+    })
+}
+
+#[test]
+fn decoders_find_the_truth_again() {
+    for (role, least) in [(Role::Head, 2_800), (Role::LeftHand, 1_250)] {
+        let [position, rotation] = tracking_errors(role);
+        assert!(position.len() > least, "{role}: {} poses", position.len());
+        let at = |errors: &[f64], share: f64| errors[(share * (errors.len() - 1) as f64) as usize];
+        let (median, p99) = (at(&position, 0.5), at(&position, 0.99));
+        assert!(
+            median < 2e-3 && p99 < 10e-3,
+            "{role}: {median} m, p99 {p99} m"
+        );
+        let (median, p99) = (
+            at(&rotation, 0.5).to_degrees(),
+            at(&rotation, 0.99).to_degrees(),
+        );
+        assert!(
+            median < 0.2 && p99 < 1.0,
+            "{role}: {median} degrees, p99 {p99} degrees"
+        );
+    }
 }
 
 #[test]

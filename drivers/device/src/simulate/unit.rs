@@ -13,17 +13,25 @@ use super::startup::{self, Exchange};
 use super::wire::{Cable, Radio, Report};
 use crate::usb::Port;
 
-/// Ticks between two samples of a headset, and of a controller, whose counter shows only every
-/// 256th.
+/// Ticks between two samples of a headset. A controller's IMU goes by a clock of its own, which
+/// differs from the tick counter's by this share (standard deviation): captures show intervals of
+/// 191,690 to 193,220 ticks.
 const HEADSET_INTERVAL: f64 = 47_990.0;
-const CONTROLLER_INTERVAL: f64 = 191_960.0;
+const CONTROLLER_INTERVAL: f64 = 192_000.0;
+const CONTROLLER_SPREAD: f64 = 4e-3;
+/// A controller's samples show only every 256th tick.
 const CONTROLLER_TICK_MASK: u32 = !0xff;
 /// A sample is there for the host this long after it was measured, seconds.
 const SAMPLE_LATENCY_S: f64 = 1e-4;
 /// Light begins this long after the start: a controller's only some time after it was switched
 /// to the second raw mode.
-const CABLE_LIGHT_S: f64 = 0.01;
-const RADIO_LIGHT_S: f64 = 0.3;
+const CABLE_FROM_S: f64 = 0.01;
+const RADIO_FROM_S: f64 = 0.3;
+
+/// Light is reported this long after it was seen, seconds; and more words than the second number
+/// do not wait for it.
+const CABLE_LIGHT: (f64, usize) = (3e-3, 256);
+const RADIO_LIGHT: (f64, usize) = (1e-3, 40);
 
 enum Link {
     Cable(Cable),
@@ -49,11 +57,16 @@ impl Unit {
         let blueprint = Blueprint::new(device.model, options, index);
         let exchanges = startup::exchanges(&device, &blueprint);
         let clock = DeviceClock::new(&mut stream(Purpose::Clock), options.usb.drift_ppm);
-        let (interval, link) = match device.model {
-            Model::Headset => (HEADSET_INTERVAL, Link::Cable(Cable::new())),
+        let (interval, link, light) = match device.model {
+            Model::Headset => (HEADSET_INTERVAL, Link::Cable(Cable::new()), CABLE_LIGHT),
             Model::LeftController | Model::RightController => {
                 let radio = Radio::new(options.usb.radio_loss, stream(Purpose::Radio));
-                (CONTROLLER_INTERVAL, Link::Radio(radio))
+                let spread = stream(Purpose::Interval).normal(CONTROLLER_SPREAD);
+                (
+                    CONTROLLER_INTERVAL * (1.0 + spread),
+                    Link::Radio(radio),
+                    RADIO_LIGHT,
+                )
             }
         };
         let random = stream(Purpose::Imu);
@@ -64,7 +77,7 @@ impl Unit {
             },
             imu: ImuSource::new(&blueprint, options.imu, random, &clock, interval),
             optics: Optics::new(&blueprint, options.light, stream(Purpose::Light)),
-            light: LightQueue::default(),
+            light: LightQueue::new(light.0, light.1),
             device,
             clock,
             link,
@@ -75,8 +88,8 @@ impl Unit {
     /// A rotation that has just begun.
     pub(super) fn watch(&mut self, rotor: &Rotor, rotation: &Rotation, obstacles: &[Capsule]) {
         let from_s = match self.link {
-            Link::Cable(_) => CABLE_LIGHT_S,
-            Link::Radio(_) => RADIO_LIGHT_S,
+            Link::Cable(_) => CABLE_FROM_S,
+            Link::Radio(_) => RADIO_FROM_S,
         };
         if rotation.sync_s < from_s {
             return;
@@ -101,7 +114,7 @@ impl Unit {
                 Link::Cable(cable) => cable.measured(sample),
                 Link::Radio(radio) => {
                     sample.ticks &= CONTROLLER_TICK_MASK;
-                    radio.measured(&sample, &mut self.light);
+                    radio.measured(sample);
                 }
             }
         }
@@ -109,8 +122,7 @@ impl Unit {
             Link::Cable(cable) => cable.poll(&mut self.light, reports),
             Link::Radio(radio) if second => {
                 let ticks = self.clock.ticks(now) as u64 as u32;
-                radio.send_light(ticks, &mut self.light);
-                radio.poll(reports);
+                radio.poll(ticks, &mut self.light, reports);
             }
             Link::Radio(_) => {}
         }

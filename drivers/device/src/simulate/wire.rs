@@ -70,8 +70,9 @@ fn imu_values(sample: &RawImu) -> impl Iterator<Item = u8> {
 /// A controller's radio and the dongle.
 #[derive(Debug)]
 pub(super) struct Radio {
-    /// Packets that wait for a slot: time (bits 31 to 16) and payload.
-    waiting: VecDeque<(u16, Vec<u8>)>,
+    samples: VecDeque<RawImu>,
+    /// Packets on their way to a slot: time (bits 31 to 16) and payload.
+    sending: VecDeque<(u16, Vec<u8>)>,
     /// What the dongle's buffers hold: the end of longer packets stays.
     slots: [[u8; Self::PACKET]; 2],
     loss: f64,
@@ -83,8 +84,9 @@ impl Radio {
     const PACKET: usize = 29;
     /// Flags, samples and light of one packet.
     const PAYLOAD_MAX: usize = 26;
-    /// Packets that wait; light in more is lost.
-    const WAITING_MAX: usize = 6;
+    /// Packets that are made before their slot comes. It makes a sample's delay what captures
+    /// show: up to three slots.
+    const AHEAD: usize = 2;
     /// Share of slots that carry two packets.
     const DOUBLE: f64 = 0.06;
     const FLAG_IMU: u8 = 0x80;
@@ -92,37 +94,43 @@ impl Radio {
 
     pub(super) fn new(loss: f64, random: Random) -> Self {
         Self {
-            waiting: VecDeque::new(),
+            samples: VecDeque::new(),
+            sending: VecDeque::new(),
             slots: [[0; Self::PACKET]; 2],
             loss,
             random,
         }
     }
 
-    /// Queues a sample, with the two words of light that fit behind it.
-    pub(super) fn measured(&mut self, sample: &RawImu, light: &mut LightQueue) {
-        let mut payload = vec![Self::FLAG_IMU, (sample.ticks >> 8) as u8];
-        payload.extend(imu_values(sample));
-        let stream = light.pack(2, Self::PAYLOAD_MAX - payload.len());
-        if !stream.is_empty() {
-            payload[0] |= Self::FLAG_LIGHT;
-            payload.extend(stream);
-        }
-        self.waiting
-            .push_back(((sample.ticks >> 16) as u16, payload));
+    pub(super) fn measured(&mut self, sample: RawImu) {
+        self.samples.push_back(sample);
     }
 
-    /// Queues the light that is ready at `ticks`.
-    pub(super) fn send_light(&mut self, ticks: u32, light: &mut LightQueue) {
-        while light.ready() > 0 && self.waiting.len() < Self::WAITING_MAX {
-            let mut payload = vec![Self::FLAG_LIGHT];
-            payload.extend(light.pack(6, Self::PAYLOAD_MAX - 1));
-            self.waiting.push_back(((ticks >> 16) as u16, payload));
+    /// Makes packets of what waits at `ticks`: samples first, light behind them or by itself.
+    fn prepare(&mut self, ticks: u32, light: &mut LightQueue) {
+        while self.sending.len() < Self::AHEAD {
+            let (time, mut payload) = match self.samples.pop_front() {
+                Some(sample) => {
+                    let mut payload = vec![Self::FLAG_IMU, (sample.ticks >> 8) as u8];
+                    payload.extend(imu_values(&sample));
+                    (sample.ticks, payload)
+                }
+                None if light.ready() > 0 => (ticks, vec![0]),
+                None => return,
+            };
+            let words = if payload.len() > 1 { 2 } else { 6 };
+            let stream = light.pack(words, Self::PAYLOAD_MAX - payload.len());
+            if !stream.is_empty() {
+                payload[0] |= Self::FLAG_LIGHT;
+                payload.extend(stream);
+            }
+            self.sending.push_back(((time >> 16) as u16, payload));
         }
     }
 
-    /// What the host gets from the dongle after one radio slot.
-    pub(super) fn poll(&mut self, reports: &mut Vec<Report>) {
+    /// What the host gets from the dongle after one radio slot at `ticks`.
+    pub(super) fn poll(&mut self, ticks: u32, light: &mut LightQueue, reports: &mut Vec<Report>) {
+        self.prepare(ticks, light);
         let count = if self.random.chance(Self::DOUBLE) {
             2
         } else {
@@ -130,7 +138,7 @@ impl Radio {
         };
         let mut received = 0;
         for _ in 0..count {
-            let Some((time, payload)) = self.waiting.pop_front() else {
+            let Some((time, payload)) = self.sending.pop_front() else {
                 break;
             };
             if self.random.chance(self.loss) {
@@ -142,6 +150,7 @@ impl Radio {
             slot[3..3 + payload.len()].copy_from_slice(&payload);
             received += 1;
         }
+        self.prepare(ticks, light);
         let report = match received {
             0 => return,
             1 => [&[0x23], &self.slots[0][..]].concat(),
@@ -168,7 +177,7 @@ mod tests {
     #[test]
     fn a_cable_repeats_the_last_three_samples() {
         let mut cable = Cable::new();
-        let (mut light, mut reports) = (LightQueue::default(), Vec::new());
+        let (mut light, mut reports) = (LightQueue::new(3e-3, 256), Vec::new());
         for sequence in 0..5 {
             cable.measured(sample(sequence));
             cable.poll(&mut light, &mut reports);
@@ -187,9 +196,9 @@ mod tests {
     #[test]
     fn a_radio_packet_is_laid_out_as_the_real_one() {
         let mut radio = Radio::new(0.0, Random::new(1, Purpose::Radio, 0));
-        let (mut light, mut reports) = (LightQueue::default(), Vec::new());
-        radio.measured(&sample(0), &mut light);
-        radio.poll(&mut reports);
+        let (mut light, mut reports) = (LightQueue::new(3e-3, 256), Vec::new());
+        radio.measured(sample(0));
+        radio.poll(0, &mut light, &mut reports);
         let (endpoint, report) = &reports[0];
         assert_eq!((*endpoint, report.len()), (0x81, 30));
         // Time bits 31-24, size from byte 2 on, bits 23-16, flags, bits 15-8.

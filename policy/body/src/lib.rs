@@ -3,6 +3,7 @@
 
 pub mod character;
 pub mod motion;
+pub mod optimiser;
 pub mod qp;
 pub mod retarget;
 pub mod scene;

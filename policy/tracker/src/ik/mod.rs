@@ -8,6 +8,7 @@
 
 mod arms;
 mod fade;
+mod gait;
 mod geometry;
 mod legs;
 mod presence;
@@ -24,6 +25,7 @@ use crate::{
 };
 use arms::{Arm, Swivel};
 use fade::Place;
+use gait::{Gait, Motion};
 use geometry::gain;
 use legs::Leg;
 use presence::{Hand, Head, HeadState, Sensed};
@@ -35,9 +37,9 @@ const GAP_MAX: f32 = 0.5;
 /// Time constant with which the torso takes notice of hands that come and go, seconds.
 const NOTICE_S: f32 = 0.3;
 /// How far the feet's wanted place moves from below the pelvis to below the head.
-const SUPPORT_TO_HEAD: f32 = 0.25;
+const SUPPORT_TO_HEAD: f32 = 0.35;
 /// Distance of the feet over that of the hip joints.
-const STANCE_OVER_HIPS: f32 = 1.15;
+const STANCE_OVER_HIPS: f32 = 1.25;
 /// Hands of a relaxed wearer from the head joint, over head height: left; the right is mirrored.
 const HANDS_AT_REST: Vec3 = Vec3::new(-0.17, -0.34, -0.05);
 
@@ -56,6 +58,7 @@ pub struct Ik {
     notice: [f32; 2],
     torso: Torso,
     swivel: [Swivel; 2],
+    gait: Gait,
     steps: Steps,
     /// The last pelvis, for the feet's balance before this tick's is known.
     overstretch: [f32; 2],
@@ -70,6 +73,7 @@ impl Default for Ik {
             notice: [0.0; 2],
             torso: Torso::NEW,
             swivel: [None; 2],
+            gait: Gait::NEW,
             steps: Steps::NEW,
             overstretch: [0.0; 2],
         }
@@ -98,7 +102,7 @@ impl Tracker for Ik {
         let standing = skeleton.head_height() + toe_height(skeleton);
         let (head, state) = self.head.update(head, dt, standing);
         let torso = self.torso(&head, hands, skeleton, dt);
-        let legs = self.legs(&torso, &head, skeleton, dt);
+        let legs = self.legs(&torso, &head, hands, skeleton, dt);
         let mut pose = BodyPose::rest(torso.root);
         write_torso(&mut pose, &torso, head.rotation);
         for side in 0..2 {
@@ -179,9 +183,20 @@ impl Ik {
         &mut self,
         torso: &TorsoPose,
         head: &Place,
+        hands: [Option<Sensed>; 2],
         skeleton: &Skeleton,
         dt: f32,
     ) -> [legs::LegPose; 2] {
+        let tall = skeleton.head_height().max(0.1);
+        let apart = match hands {
+            [Some(left), Some(right)] => left.place.position - right.place.position,
+            _ => Vec3::ZERO,
+        };
+        let motion = Motion {
+            head: head.position / tall,
+            hands: apart / tall,
+        };
+        let swinging = self.gait.update(motion, dt);
         let legs = [Leg::new(skeleton, 0), Leg::new(skeleton, 1)];
         let center = torso.root.lerp(head.position, SUPPORT_TO_HEAD);
         let load = Load {
@@ -190,6 +205,7 @@ impl Ik {
             leg: legs[0].length().max(0.1),
             half_width: STANCE_OVER_HIPS * skeleton.offsets[Joint::LeftHip as usize].x.abs(),
             overstretch: self.overstretch,
+            swinging,
         };
         let feet: [Footing; 2] = self.steps.update(&load, dt);
         for side in 0..2 {

@@ -3,7 +3,7 @@
 mod print;
 mod server;
 
-use std::future::Future;
+use std::{future::Future, io};
 
 use posed_proto::v1::{
     FollowPosesRequest, GetClockRequest, pose_service_client::PoseServiceClient,
@@ -40,7 +40,7 @@ pub enum FollowError {
     Convert(#[from] ConvertError),
     /// The poses cannot be printed.
     #[error("the output cannot be written: {0}")]
-    Output(#[from] std::io::Error),
+    Output(#[from] io::Error),
 }
 
 impl From<Status> for FollowError {
@@ -171,12 +171,18 @@ pub async fn follow<C: Clock>(
     let mut follower = Follower::connect(server, clock, Late::CatchUp).await?;
     let mut stop = std::pin::pin!(stop);
     while count.is_none_or(|count| printer.summary().poses < count) {
-        tokio::select! {
-            next = follower.next() => match next? {
-                Some(followed) => printer.print(&followed)?,
-                None => break,
-            },
+        let next = tokio::select! {
+            next = follower.next() => next?,
             () = &mut stop => break,
+        };
+        let Some(followed) = next else { break };
+        match printer.print(&followed) {
+            Ok(()) => {}
+            // Whoever read the output has seen enough: `posed follow | head`.
+            Err(error) if error.kind() == io::ErrorKind::BrokenPipe => {
+                return Ok(printer.summary().clone());
+            }
+            Err(error) => return Err(error.into()),
         }
     }
     Ok(printer.finish()?)

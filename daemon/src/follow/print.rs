@@ -180,16 +180,20 @@ impl<'a> Printer<'a> {
             }
         };
         self.last_line = Some((now, poses, gaps));
-        let ms = |ns: i64| ns as f64 / MILLISECOND_NS as f64;
-        let rate = rate.map_or("   - ".into(), |rate| format!("{rate:5.1}"));
+        let ms = |ns: i64| format!("{:6.2}", ns as f64 / MILLISECOND_NS as f64);
+        let rate = rate.map_or("    -".into(), |rate| format!("{rate:5.1}"));
+        // Without a headset there is no motion that could be old.
+        let motion = match pose.has_input() {
+            true => ms(followed.sample_age_ns),
+            false => "     -".into(),
+        };
         write!(
             self.out,
-            "#{:<7} {:8} {:8} {rate} Hz  age {:6.2} ms  motion {:6.2} ms  missed {missed:<4}",
+            "#{:<7} {:8} {:8} {rate} Hz  age {} ms  motion {motion} ms  missed {missed:<4}",
             pose.sequence,
             pose.quality.name(),
             pose.kind.name(),
             ms(followed.age_ns),
-            ms(followed.sample_age_ns),
         )?;
         for (name, joint) in [
             ("head", Joint::Head),
@@ -274,6 +278,19 @@ mod tests {
         assert_eq!((summary.poses, summary.gaps), (101, 1));
         assert!((summary.rate_hz() - 100.0).abs() < 1e-9);
         assert_eq!((summary.age_ns(0.5), summary.age_ns(1.0)), (51, 101));
+    }
+
+    #[test]
+    fn a_held_pose_has_no_motion_to_be_old() {
+        let mut out = Vec::new();
+        let mut held = followed(1, 0);
+        held.pose.quality = posed_tracker::Quality::Held;
+        Printer::new(Format::Text, &mut out).print(&held).unwrap();
+        let text = String::from_utf8(out).unwrap();
+        assert!(
+            text.contains("held") && text.contains("motion      - ms"),
+            "{text}"
+        );
     }
 
     #[test]

@@ -331,6 +331,56 @@ async fn the_client_library_hides_credits_and_knows_ages() {
     assert_eq!(follower.next().await.unwrap(), None);
 }
 
+/// An output whose reader has gone.
+struct Gone;
+
+impl io::Write for Gone {
+    fn write(&mut self, _: &[u8]) -> io::Result<usize> {
+        Err(io::ErrorKind::BrokenPipe.into())
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
+#[tokio::test]
+async fn following_ends_with_the_count_the_server_or_the_reader() {
+    use crate::follow::{Format, Printer, follow};
+    let mut fixture = Fixture::start();
+    fixture.publish(1).await;
+    let server = crate::follow::Server::Unix(fixture.socket.clone());
+    let forever = std::future::pending::<()>;
+    let clock = HostTime(0);
+
+    let mut out = Vec::new();
+    let mut printer = Printer::new(Format::Json, &mut out);
+    let summary = follow(&server, clock, &mut printer, Some(1), forever())
+        .await
+        .unwrap();
+    assert_eq!(
+        (
+            summary.poses,
+            out.iter().filter(|byte| **byte == b'\n').count()
+        ),
+        (1, 1)
+    );
+
+    let mut gone = Gone;
+    let mut printer = Printer::new(Format::Json, &mut gone);
+    follow(&server, clock, &mut printer, None, forever())
+        .await
+        .unwrap();
+
+    drop(fixture.sink.take());
+    let mut out = Vec::new();
+    let mut printer = Printer::new(Format::Json, &mut out);
+    let summary = follow(&server, clock, &mut printer, None, forever())
+        .await
+        .unwrap();
+    assert_eq!(summary.poses, 1);
+}
+
 #[tokio::test]
 async fn one_pose_can_be_asked_for_by_time() {
     let mut fixture = Fixture::start();

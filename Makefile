@@ -41,10 +41,10 @@ bench: native
 lint: native
 	cargo fmt --all --check
 	cargo clippy --workspace --all-targets --locked -- -D warnings
-	RUSTDOCFLAGS="-D warnings" cargo doc --workspace --no-deps --locked
+	RUSTDOCFLAGS="-D warnings" cargo doc --workspace --no-deps --document-private-items --locked
 
 doc: native
-	cargo doc --workspace --no-deps --locked
+	cargo doc --workspace --no-deps --document-private-items --locked
 
 # The embedded capture, and its truth for the tests; to be made again when the simulator changes.
 assets: native

@@ -16,6 +16,8 @@ pub use set::{MotionError, MotionSet};
 pub use silhouette::Limb;
 pub use trajectory::{JointMotion, Trajectory};
 
+use glam::Vec3;
+
 use crate::skeleton::{BodyPose, Skeleton};
 
 /// A motion as a row of poses at a constant rate.
@@ -59,5 +61,61 @@ impl Clip {
             frames,
             ..self.clone()
         }
+    }
+
+    /// The same motion, moved over the floor so that the pelvis's way has its middle above the
+    /// world's origin: sets place their clips anywhere.
+    #[must_use]
+    pub fn centred(&self) -> Self {
+        let low = self.frames.iter().map(|frame| frame.root).reduce(Vec3::min);
+        let high = self.frames.iter().map(|frame| frame.root).reduce(Vec3::max);
+        let middle = (low.unwrap_or_default() + high.unwrap_or_default()) / 2.0;
+        let shift = Vec3::new(middle.x, 0.0, middle.z);
+        let mut clip = self.clone();
+        for frame in &mut clip.frames {
+            frame.root -= shift;
+        }
+        clip
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_centred_clip_is_the_same_motion_about_the_origin() {
+        let clip = procedural::timeline(1.6, 3);
+        let mut away = clip.clone();
+        for frame in &mut away.frames {
+            frame.root += Vec3::new(4.0, 0.0, -2.5);
+        }
+        let (near, far) = (clip.centred(), away.centred());
+        for (near, far) in near.frames.iter().zip(&far.frames) {
+            assert!(near.root.distance(far.root) < 1e-5);
+            assert_eq!(near.rotations, far.rotations);
+        }
+        let lowest = near
+            .frames
+            .iter()
+            .map(|frame| frame.root.x)
+            .fold(f32::MAX, f32::min);
+        let highest = near
+            .frames
+            .iter()
+            .map(|frame| frame.root.x)
+            .fold(f32::MIN, f32::max);
+        assert!((lowest + highest).abs() < 1e-5 && highest > 0.3);
+    }
+
+    #[test]
+    fn resampling_keeps_the_duration_and_the_common_frames() {
+        let clip = procedural::timeline(1.75, 1);
+        let slow = clip.resampled(30.0);
+        assert_eq!(slow.frames.len(), clip.frames.len().div_ceil(2));
+        for (index, frame) in slow.frames.iter().enumerate() {
+            assert!(frame.root.distance(clip.frames[2 * index].root) < 1e-5);
+        }
+        assert_eq!(clip.resampled(60.0), clip);
     }
 }

@@ -43,4 +43,4 @@ pub fn fuzz_entry(data: &[u8]) -> Statistics {
 }
 
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;

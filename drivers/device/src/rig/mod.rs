@@ -242,4 +242,6 @@ pub fn fuzz_entry(data: &[u8]) -> u64 {
 }
 
 #[cfg(test)]
+mod recordings;
+#[cfg(test)]
 mod tests;

@@ -3,7 +3,7 @@
 mod build;
 mod damaged;
 mod formats;
-mod shared;
+pub(crate) mod shared;
 
 use super::{CaptureReader, Item, Warning, open};
 use crate::usb::Packet;

@@ -144,7 +144,8 @@ const CAPTURES: &[Expected] = &[
     Expected("lighthouse-redox/system--08", 174, None, false),
 ];
 
-fn captures() -> Option<PathBuf> {
+/// The folder of the shared captures, where there is one.
+pub(crate) fn captures() -> Option<PathBuf> {
     let beside = || Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared");
     let shared = env::var_os("POSED_SHARED").map_or_else(beside, PathBuf::from);
     let captures = shared.join("captures");
@@ -152,7 +153,7 @@ fn captures() -> Option<PathBuf> {
 }
 
 /// The one file whose path begins like this.
-fn file(captures: &Path, prefix: &str) -> PathBuf {
+pub(crate) fn file(captures: &Path, prefix: &str) -> PathBuf {
     let (folder, name) = prefix.split_once('/').unwrap();
     let files = captures
         .join(folder)

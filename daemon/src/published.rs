@@ -147,6 +147,14 @@ pub(crate) mod tests {
         }
     }
 
+    /// A pose that follows no headset.
+    pub(crate) fn held_pose_at(sequence: u64, target_at: HostTime) -> PublishedPose {
+        PublishedPose {
+            quality: Quality::Held,
+            ..pose_at(sequence, target_at)
+        }
+    }
+
     #[test]
     fn a_line_of_json_holds_times_and_all_joints() {
         let line = serde_json::to_value(pose_at(7, HostTime(9_000_000))).unwrap();

@@ -1,0 +1,6 @@
+//! Server and client in one process, over real sockets.
+
+mod client;
+mod fixture;
+mod following;
+mod services;

@@ -116,7 +116,7 @@ impl Device {
         Ok(())
     }
 
-    fn configure(&mut self, text: &str, out: &mut dyn Emit) -> Result<(), DecodeError> {
+    pub(super) fn configure(&mut self, text: &str, out: &mut dyn Emit) -> Result<(), DecodeError> {
         let model = DeviceModel::from_json(text)?;
         if self
             .unit

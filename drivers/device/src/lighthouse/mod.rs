@@ -9,6 +9,7 @@ pub mod base_station;
 mod blob;
 mod decoder;
 mod filter;
+mod fuzz;
 mod input;
 pub mod inspect;
 pub mod model;
@@ -22,6 +23,8 @@ mod solve;
 mod startup;
 mod track;
 pub mod wire;
+
+pub use fuzz::fuzz_entry;
 
 use self::{base_station::BaseStation, model::ImuRange};
 use crate::decode::Decoder;
@@ -73,3 +76,6 @@ pub fn decoder(variant: Variant, settings: &Settings) -> Box<dyn Decoder> {
         _ => Box::new(decoder::Device::new(variant, settings)),
     }
 }
+
+#[cfg(test)]
+mod tests;

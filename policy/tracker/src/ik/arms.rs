@@ -5,7 +5,7 @@ use std::f32::consts::FRAC_PI_2;
 use glam::{Mat3, Quat, Vec3};
 use posed_body::{Joint, Skeleton};
 
-use super::{
+use crate::{
     fade::Place,
     geometry::{Limb, direction, gain, twist_about},
 };

@@ -6,7 +6,7 @@
 
 use glam::Vec3;
 
-use super::geometry::gain;
+use crate::geometry::gain;
 
 /// Speed that each cue adds to the left foot's over the right foot's, head heights a second, for:
 /// the left hand in front of the right one (head heights), its speed, the head's sway to the right

@@ -3,11 +3,8 @@
 use glam::{Quat, Vec3};
 use posed_body::{Joint, Skeleton};
 
-use super::{
-    geometry::{Limb, direction},
-    steps::Footing,
-    toe_height,
-};
+use super::{steps::Footing, toe_height};
+use crate::geometry::{Limb, direction};
 
 /// How far a heel can rise over the toes, radians.
 const HEEL_MAX: f32 = 1.0;

@@ -3,15 +3,12 @@
 //! The head joint is met exactly, and so are the wrists within reach. Spine, pelvis and elbows
 //! take the posture that people mostly have with head and hands there ([`torso`], [`arms`]); the
 //! feet stand still until they have to step ([`steps`], [`legs`]). What is not tracked fades to a
-//! resting place and back ([`presence`]). Every time constant is in seconds: the pose does not
+//! resting place and back (`presence`). Every time constant is in seconds: the pose does not
 //! depend on the rate of the ticks.
 
 mod arms;
-mod fade;
 mod gait;
-mod geometry;
 mod legs;
-mod presence;
 mod steps;
 mod torso;
 
@@ -20,18 +17,20 @@ use posed_body::{BodyPose, Joint, Skeleton};
 use posed_signal::{HostTime, Role};
 
 use crate::{
+    fade::Place,
+    geometry::gain,
+    presence::{Hand, Head, HeadState, Sensed},
     sensors::TOE_JOINT_OVER_STATURE,
     tracker::{Input, Quality, Tracked, Tracker, TrackerKind},
 };
 use arms::{Arm, Swivel};
-use fade::Place;
 use gait::{Gait, Motion};
-use geometry::gain;
 use legs::Leg;
-use presence::{Hand, Head, HeadState, Sensed};
 use steps::{Footing, Load, Steps};
 use torso::{Cues, Torso, TorsoPose};
 
+/// A lost hand sinks to the side in this time, seconds.
+const SINK_S: f32 = 0.9;
 /// A longer gap between ticks counts as this long, seconds.
 const GAP_MAX: f32 = 0.5;
 /// Time constant with which the torso takes notice of hands that come and go, seconds.
@@ -69,7 +68,7 @@ impl Default for Ik {
         Self {
             last: None,
             head: Head::NEW,
-            hands: [Hand::NEW; 2],
+            hands: [Hand::new(SINK_S); 2],
             notice: [0.0; 2],
             torso: Torso::NEW,
             swivel: [None; 2],

@@ -8,7 +8,7 @@
 
 use glam::{Quat, Vec3};
 
-use super::geometry::{gain, min_jerk, wrap};
+use crate::geometry::{gain, min_jerk, wrap};
 
 /// Step length over cadence, metres per (step a minute).
 const WALKING_RATIO: f32 = 0.0064;

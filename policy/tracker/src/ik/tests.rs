@@ -3,8 +3,8 @@
 use posed_signal::{Lookup, Pose, PoseHow};
 use proptest::prelude::*;
 
-use super::{geometry::BEND_MAX, *};
-use crate::tracker::Wearer;
+use super::*;
+use crate::{geometry::BEND_MAX, tracker::Wearer};
 
 const HANDS: [Role; 2] = [Role::LeftHand, Role::RightHand];
 

@@ -8,7 +8,7 @@
 use glam::{Quat, Vec3};
 use posed_body::{Joint, Skeleton};
 
-use super::{
+use crate::{
     fade::Place,
     geometry::{direction, gain, wrap, yaw_confidence, yaw_of},
 };

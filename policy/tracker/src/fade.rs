@@ -6,7 +6,7 @@
 
 use glam::{Quat, Vec3};
 
-use super::geometry::min_jerk;
+use crate::geometry::min_jerk;
 
 /// Where something is.
 #[derive(Debug, Clone, Copy, PartialEq)]

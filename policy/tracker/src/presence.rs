@@ -1,18 +1,16 @@
-//! Headset and hands that come and go: what they say while they are tracked, where they rest
-//! while they are not, and a fade from one to the other.
+//! Headset and hands that come and go: what they say while they are tracked, where they are taken
+//! to be while they are not, and a fade from one to the other.
 
 use glam::{Quat, Vec3};
 use posed_signal::{Lookup, Pose, PoseHow, history::EXTRAPOLATE_NS_MAX};
 
-use super::{
+use crate::{
     fade::{Fade, Place},
     geometry::{gain, yaw_of},
 };
 
 /// A returning hand or headset takes over in this time, seconds.
 const RETURN_S: f32 = 0.3;
-/// A lost hand sinks to the side in this time, seconds.
-const SINK_S: f32 = 0.9;
 /// A lost head stays where it was this long, and then rises to standing, with this time constant.
 const HOLD_S: f32 = 1.0;
 const RISE_S: f32 = 1.5;
@@ -134,32 +132,37 @@ pub(crate) struct Hand {
     fade: Fade,
     tracked: bool,
     started: bool,
+    leave_s: f32,
 }
 
 impl Hand {
-    pub(crate) const NEW: Self = Self {
-        shown: Place {
-            position: Vec3::ZERO,
-            rotation: Quat::IDENTITY,
-        },
-        fade: Fade::DONE,
-        tracked: false,
-        started: false,
-    };
+    /// `leave_s`: a lost hand is where it is taken to be after this time, seconds.
+    pub(crate) const fn new(leave_s: f32) -> Self {
+        Self {
+            shown: Place {
+                position: Vec3::ZERO,
+                rotation: Quat::IDENTITY,
+            },
+            fade: Fade::DONE,
+            tracked: false,
+            started: false,
+            leave_s,
+        }
+    }
 
     /// The wrist in the world after `dt` seconds. `base` is the shoulder with the chest's heading,
-    /// `rest` where the wrist hangs in that frame.
+    /// `otherwise` where the wrist is in that frame while it is not tracked.
     pub(crate) fn update(
         &mut self,
         sensed: Option<Sensed>,
         base: &Place,
-        rest: &Place,
+        otherwise: &Place,
         dt: f32,
     ) -> Place {
-        let source = sensed.map_or(*rest, |now| now.place.into_frame(base));
+        let source = sensed.map_or(*otherwise, |now| now.place.into_frame(base));
         let tracked = sensed.is_some();
         if self.started && tracked != self.tracked {
-            let span = if tracked { RETURN_S } else { SINK_S };
+            let span = if tracked { RETURN_S } else { self.leave_s };
             self.fade = Fade::start(&self.shown, &source, span);
         } else {
             self.fade.advance(dt);
@@ -242,7 +245,7 @@ mod tests {
     #[test]
     fn a_lost_hand_sinks_to_its_rest_and_returns_exactly() {
         let (mut hand, base) = (
-            Hand::NEW,
+            Hand::new(0.9),
             Place {
                 position: Vec3::Y,
                 rotation: Quat::IDENTITY,

@@ -6,15 +6,15 @@ use std::{io::Cursor, sync::Arc};
 use glam::{DQuat, DVec3};
 use posed_body::{
     Joint,
-    motion::{Clip, MotionError, MotionSet, Trajectory, procedural},
+    motion::{
+        Clip, MotionError, MotionSet, Trajectory, procedural,
+        silhouette::{LIMBS, Limb},
+    },
 };
 use posed_device::simulate::{Device, Model, Occluder, Options, Placement};
 use posed_signal::{HostTime, Role};
 use posed_tracker::{Mount, Mounts, Wearer};
 use serde::Serialize;
-
-/// Radius of the capsule along the spine that stands in the light, metres.
-const TORSO_RADIUS: f64 = 0.14;
 
 /// The built-in human of the given stature in metres.
 #[must_use]
@@ -27,7 +27,7 @@ pub fn built_in(height: f32, seed: u64) -> Clip {
 /// # Errors
 /// The bytes are no motion set, or it has no such clip.
 pub fn from_file(bytes: &[u8], clip: &str) -> Result<Clip, MotionError> {
-    MotionSet::read(Cursor::new(bytes))?.named(clip)
+    Ok(MotionSet::read(Cursor::new(bytes))?.named(clip)?.centred())
 }
 
 /// One line of the truth about the body.
@@ -74,18 +74,18 @@ impl Person {
     #[must_use]
     pub fn options(&self, seed: u64, seconds: Option<f64>) -> Options {
         let whole = self.trajectory.duration();
-        let trajectory = Arc::clone(&self.trajectory);
-        let axis = move |seconds: f64| {
-            let at = |joint| trajectory.joint(joint, seconds).position;
-            [at(Joint::Pelvis), at(Joint::Spine3)]
+        let stature = f64::from(self.wearer.height);
+        let occluder = |limb: &Limb| {
+            let (trajectory, limb) = (Arc::clone(&self.trajectory), *limb);
+            Occluder {
+                axis: Box::new(move |seconds| limb.axis(&trajectory, seconds)),
+                radius: limb.radius(stature),
+            }
         };
         Options {
             seed,
             duration_s: seconds.map_or(whole, |seconds| seconds.min(whole)),
-            occluders: vec![Occluder {
-                axis: Box::new(axis),
-                radius: TORSO_RADIUS,
-            }],
+            occluders: LIMBS.iter().map(occluder).collect(),
             ..Options::default()
         }
     }

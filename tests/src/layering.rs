@@ -139,7 +139,9 @@ fn collect(folder: &Path, found: &mut Vec<(String, String)>) {
 fn production<'a>(path: &str, text: &'a str) -> &'a str {
     let tests_only = path.ends_with("/tests.rs") || path.contains("/tests/");
     let text = if tests_only { "" } else { text };
-    text.split("#[cfg(test)]").next().unwrap_or(text)
+    let ends = ["#[cfg(test)]", "#[cfg(all(test"].map(|mark| text.find(mark));
+    let end = ends.into_iter().flatten().min().unwrap_or(text.len());
+    &text[..end]
 }
 
 #[test]

@@ -297,7 +297,8 @@ proptest! {
             }
             for side in 0..2usize {
                 let joint = |joint: Joint| Joint::ALL[joint as usize + side];
-                let knee = hinge(&joints, [joint(Joint::LeftHip), joint(Joint::LeftKnee), joint(Joint::LeftAnkle)]);
+                let leg = [Joint::LeftHip, Joint::LeftKnee, Joint::LeftAnkle].map(joint);
+                let knee = hinge(&joints, leg);
                 prop_assert!(knee < BEND_MAX + 0.05, "knee {knee}");
                 let toe = joints.position(joint(Joint::LeftFoot)).y;
                 let hip = joints.position(joint(Joint::LeftHip)).y;

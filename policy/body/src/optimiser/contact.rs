@@ -163,8 +163,8 @@ impl Feet {
         self.learn_clearance(heights, speeds, tick);
         for foot in 0..2 {
             let seen = match given {
-                // A probability that is not a number becomes none.
-                Some(given) => f64::from(given[foot]).max(0.0).min(1.0),
+                Some(given) if given[foot].is_finite() => f64::from(given[foot]).clamp(0.0, 1.0),
+                Some(_) => 0.0,
                 None => ramp(heights[foot] - self.clearance, HEIGHTS) * ramp(speeds[foot], SPEEDS),
             };
             let limit = self.probabilities[foot] + RISE * tick;

@@ -1,4 +1,4 @@
-//! The decoders behind [`super::decoder`]: packets in, samples in host time out.
+//! The decoders behind [`super::decoder()`]: packets in, samples in host time out.
 
 use posed_signal::{ClockMap, HostTime, Imu, Pose, PoseHow, Sample};
 

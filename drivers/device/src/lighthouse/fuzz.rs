@@ -144,6 +144,27 @@ mod tests {
         prop::collection::vec(packet, 0..60).prop_map(|packets| packets.concat())
     }
 
+    #[test]
+    fn the_fuzzers_corpus_is_survived() {
+        let corpus = concat!(env!("CARGO_MANIFEST_DIR"), "/fuzz/corpus/lighthouse");
+        let mut imu_samples = 0;
+        for file in std::fs::read_dir(corpus).unwrap() {
+            let data = std::fs::read(file.unwrap().path()).unwrap();
+            imu_samples += fuzz_entry(&data).imu_samples;
+            // Cut anywhere, and with any bit flipped.
+            for at in (0..data.len()).step_by(997) {
+                fuzz_entry(&data[..at]);
+                let mut flipped = data.clone();
+                flipped[at] ^= 1 << (at % 8);
+                fuzz_entry(&flipped);
+            }
+        }
+        assert!(
+            imu_samples > 250,
+            "the corpus holds devices that stream: {imu_samples}"
+        );
+    }
+
     proptest! {
         #[test]
         fn any_traffic_is_survived(data in traffic()) {

@@ -1,4 +1,4 @@
-//! The decoders on the shared captures: what they hold, and how well their devices are tracked.
+//! The shared captures: what they hold, and how well their devices are tracked.
 
 use std::{
     collections::BTreeMap,
@@ -10,20 +10,23 @@ use std::{
 
 use flate2::read::MultiGzDecoder;
 use glam::{DQuat, DVec3};
-use posed_signal::{Imu, Pose, PoseHow, Sample};
+use posed_signal::{Pose, PoseHow};
 use serde_json::Value;
 
 use super::{
-    ImuClass, Settings, Variant,
-    base_station::{from_z_up, parse_libsurvive},
-    decoder,
-    inspect::{Inspector, Report},
-    model::{DeviceModel, ImuRange},
-    reader::{Event, Reader},
+    super::{
+        ImuClass, Settings, Variant,
+        base_station::{from_z_up, parse_libsurvive},
+        decoder,
+        inspect::{Inspector, Report},
+        model::{DeviceModel, ImuRange},
+        reader::{Event, Reader},
+    },
+    Tracked, quantile,
 };
 use crate::{
     capture::{Item, open},
-    decode::{Decoder, Emit, Identity},
+    decode::Decoder,
     usb::{Packet, Port},
 };
 
@@ -66,27 +69,6 @@ fn inspected(path: &Path) -> BTreeMap<String, Report> {
         .collect()
 }
 
-#[derive(Default)]
-struct Tracked {
-    serial: String,
-    imu: Vec<Imu>,
-    poses: Vec<Pose>,
-}
-
-impl Emit for Tracked {
-    fn identity(&mut self, _unit: usize, identity: Identity) {
-        self.serial = identity.serial.to_string();
-    }
-
-    fn sample(&mut self, _unit: usize, sample: Sample) {
-        match sample {
-            Sample::Imu(imu) => self.imu.push(imu),
-            Sample::Pose(pose) => self.poses.push(pose),
-            Sample::Buttons(_) | Sample::Battery(_) => {}
-        }
-    }
-}
-
 /// Every device of a capture, tracked; time counts from the capture's first packet.
 fn tracked(path: &Path, stations: &Path) -> (f64, Vec<Tracked>) {
     let base_stations = parse_libsurvive(&fs::read_to_string(stations).unwrap()).unwrap();
@@ -105,12 +87,6 @@ fn tracked(path: &Path, stations: &Path) -> (f64, Vec<Tracked>) {
         begin,
         found.filter(|tracked| !tracked.imu.is_empty()).collect(),
     )
-}
-
-fn quantile(values: impl Iterator<Item = f64>, q: f64) -> f64 {
-    let mut values: Vec<f64> = values.collect();
-    values.sort_by(f64::total_cmp);
-    values[((values.len() - 1) as f64 * q) as usize]
 }
 
 #[test]

@@ -1,0 +1,196 @@
+//! Simulated devices, whose true poses are known.
+
+use std::{collections::BTreeMap, f64::consts::TAU};
+
+use glam::{DQuat, DVec3};
+use posed_signal::{HostTime, Pose, PoseHow};
+
+use super::{
+    super::{Settings, Variant, decoder},
+    Tracked, quantile,
+};
+use crate::{
+    decode::Decoder,
+    simulate::{Device, Model, Options, Path, Placement, Simulator},
+    usb::{Packet, Port},
+};
+
+/// Someone who walks in a circle at 0.8 m/s, looks around and swings the arms: hands reach 3 m/s,
+/// 17 m/s^2 and 5 rad/s.
+fn body(seconds: f64) -> (DVec3, DQuat) {
+    let turn = DQuat::from_rotation_y(0.8 * seconds);
+    (turn * DVec3::X, turn)
+}
+
+fn head(seconds: f64) -> Placement {
+    let (place, turn) = body(seconds);
+    let step = TAU * 0.95 * seconds;
+    let sway = DVec3::new(0.015 * step.sin(), 1.65 + 0.025 * (2.0 * step).sin(), 0.0);
+    let look = DQuat::from_rotation_y(0.4 * (0.9 * seconds).sin())
+        * DQuat::from_rotation_x(0.25 * (1.3 * seconds).sin());
+    Placement {
+        position: place + turn * sway,
+        rotation: turn * look,
+    }
+}
+
+fn hand(side: f64) -> impl Path {
+    move |seconds: f64| {
+        let (place, turn) = body(seconds);
+        let swing = DQuat::from_rotation_x(side * 0.6 * (TAU * 0.95 * seconds).sin());
+        let arm = DVec3::new(side * 0.2, 1.4, 0.0) + swing * DVec3::new(side * 0.05, -0.5, -0.25);
+        let wrist = DQuat::from_rotation_y(side * 0.3 + 0.5 * (2.0 * seconds).sin())
+            * DQuat::from_rotation_z(0.6 * (3.1 * seconds).sin());
+        Placement {
+            position: place + turn * arm,
+            rotation: turn * swing * wrist,
+        }
+    }
+}
+
+struct Walk {
+    start: HostTime,
+    devices: Vec<(Model, Tracked)>,
+}
+
+/// Tracks the walk for some seconds; packets that `pass` refuses (by seconds and packet) are lost.
+fn walk(seconds: f64, pass: impl Fn(f64, &Packet) -> bool) -> Walk {
+    let options = Options {
+        duration_s: seconds,
+        ..Options::default()
+    };
+    let start = options.start;
+    let models = [
+        Model::Headset,
+        Model::LeftController,
+        Model::RightController,
+    ];
+    let devices = vec![
+        Device::new(models[0], head),
+        Device::new(models[1], hand(-1.0)),
+        Device::new(models[2], hand(1.0)),
+    ];
+    let simulator = Simulator::new(options, devices).unwrap();
+    let settings = Settings {
+        base_stations: simulator.stations().to_vec(),
+    };
+    let mut found = BTreeMap::<Port, (Box<dyn Decoder>, Tracked)>::new();
+    for packet in simulator.filter(|packet| pass(packet.at.since_secs(start), packet)) {
+        let fresh = || (decoder(Variant::Watchman, &settings), Tracked::default());
+        let (decoder, tracked) = found.entry(packet.port).or_insert_with(fresh);
+        decoder.packet(&packet, tracked).unwrap();
+    }
+    let tracked = found.into_values().map(|(_, tracked)| tracked);
+    Walk {
+        start,
+        devices: models.into_iter().zip(tracked).collect(),
+    }
+}
+
+fn truth(model: Model, seconds: f64) -> Placement {
+    match model {
+        Model::Headset => head(seconds),
+        Model::LeftController => hand(-1.0).at(seconds),
+        Model::RightController => hand(1.0).at(seconds),
+    }
+}
+
+impl Walk {
+    /// Poses from the given second on, each with its errors: metres, degrees.
+    fn errors(&self, index: usize, from: f64) -> Vec<(&Pose, f64, f64)> {
+        let (model, tracked) = &self.devices[index];
+        let late = tracked
+            .poses
+            .iter()
+            .filter(|pose| pose.at.since_secs(self.start) >= from);
+        let error = |pose| {
+            let pose: &Pose = pose;
+            let truth = truth(*model, pose.at.since_secs(self.start));
+            let metres = (pose.position.as_dvec3() - truth.position).length();
+            let degrees = pose
+                .rotation
+                .as_dquat()
+                .angle_between(truth.rotation)
+                .to_degrees();
+            (pose, metres, degrees)
+        };
+        late.map(error).collect()
+    }
+}
+
+#[test]
+fn a_walk_is_tracked() {
+    let walk = walk(10.0, |_, _| true);
+    for index in 0..3 {
+        let errors = walk.errors(index, 2.0);
+        assert!(errors.len() > 1_900, "{index}: {}", errors.len());
+        assert!(errors.iter().all(|(pose, ..)| pose.how == PoseHow::Optical));
+        let metres = |q| quantile(errors.iter().map(|error| error.1), q);
+        let degrees = |q| quantile(errors.iter().map(|error| error.2), q);
+        assert!(
+            metres(0.5) < 1e-3 && metres(0.99) < 6e-3,
+            "{index}: {}",
+            metres(0.99)
+        );
+        assert!(
+            degrees(0.5) < 0.15 && degrees(0.99) < 0.6,
+            "{index}: {}",
+            degrees(0.99)
+        );
+        // The poses neither lag nor lead, and their velocities are good for 30 ms.
+        let model = walk.devices[index].0;
+        let (mut along, mut speed, mut ahead) = (0.0, 0.0, Vec::new());
+        for (pose, ..) in &errors {
+            let seconds = pose.at.since_secs(walk.start);
+            let at = |dt: f64| truth(model, seconds + dt).position;
+            let velocity = (at(1e-4) - at(-1e-4)) / 2e-4;
+            along += (pose.position.as_dvec3() - at(0.0)).dot(velocity);
+            speed += velocity.length_squared();
+            let foretold = pose.position.as_dvec3() + 0.03 * pose.velocity.as_dvec3();
+            ahead.push((foretold - at(0.03)).length());
+        }
+        assert!((along / speed).abs() < 1e-3, "{index}: {} s", along / speed);
+        assert!(quantile(ahead.into_iter(), 0.95) < 1e-2);
+    }
+}
+
+/// A headset's light comes on an endpoint of its own, so that it can be taken away alone.
+#[test]
+fn a_headset_in_the_dark_is_carried_on_by_its_imu() {
+    const LIGHT: u8 = 0x83;
+    let dark = |seconds: f64| seconds > 3.0 && seconds % 1.0 < 0.2;
+    let walk = walk(8.0, |seconds, packet| {
+        packet.endpoint != LIGHT || !dark(seconds)
+    });
+    let errors = walk.errors(0, 2.0);
+    let worst = errors.iter().map(|error| error.1).fold(0.0, f64::max);
+    assert!(worst < 0.015, "{worst}");
+    assert!(
+        errors
+            .iter()
+            .any(|(pose, ..)| pose.how == PoseHow::Inertial)
+    );
+    assert!(errors.iter().all(|(pose, ..)| pose.how != PoseHow::Lost));
+}
+
+#[test]
+fn a_controller_out_of_reach_is_found_again() {
+    const RADIO: u8 = 0x81;
+    let away = |seconds: f64| (3.0..3.4).contains(&seconds) || (5.0..5.1).contains(&seconds);
+    let radio = |packet: &Packet| packet.endpoint == RADIO && packet.data.len() != 52;
+    let walk = walk(7.0, |seconds, packet| !radio(packet) || !away(seconds));
+    for index in 1..3 {
+        let errors = walk.errors(index, 2.0);
+        let optical = errors
+            .iter()
+            .filter(|(pose, ..)| pose.how == PoseHow::Optical);
+        let worst = optical.clone().map(|error| error.1).fold(0.0, f64::max);
+        assert!(worst < 0.03, "{index}: {worst}");
+        assert!(optical.count() as f64 > 0.85 * errors.len() as f64);
+        let back = errors.iter().find(|(pose, ..)| {
+            pose.how == PoseHow::Optical && pose.at.since_secs(walk.start) > 3.4
+        });
+        let after = back.unwrap().0.at.since_secs(walk.start) - 3.4;
+        assert!(after < 0.15, "{index}: found after {after} s");
+    }
+}

@@ -91,16 +91,14 @@ def evaluate(model, store, clips, scenario, batch=48):
 
 
 def table(model, store, per_set=None):
-    """Means by set and scenario."""
-    result = {}
+    """Yields means by set and scenario."""
     for name in sorted(set(store.sources)):
         clips = [c for c in range(len(store)) if store.sources[c] == name]
         if per_set and len(clips) > per_set:
             clips = clips[:: -(-len(clips) // per_set)]
         for label, scenario in (("controllers", CONTROLLERS), ("field_of_view", FIELD_OF_VIEW)):
             rows, seen = evaluate(model, store, clips, scenario)
-            result[f"{name}/{label}"] = {**mean_of(rows), "clips": len(rows), "visible": seen}
-    return result
+            yield f"{name}/{label}", {**mean_of(rows), "clips": len(rows), "visible": seen}
 
 
 def main():
@@ -111,15 +109,19 @@ def main():
     parser.add_argument("--sets", required=True, help="comma-separated")
     parser.add_argument("--splits", required=True, help="comma-separated")
     parser.add_argument("--out")
+    parser.add_argument("--per-set", type=int, help="at most so many clips of a set, evenly chosen")
     parser.add_argument("--threads", type=int, default=2)
     args = parser.parse_args()
     torch.set_num_threads(args.threads)
     store = stores.cached(args.mocap, args.cache, args.sets.split(","), args.splits.split(","))
-    result = table(load_model(args.checkpoint), store)
-    for name, row in result.items():
-        print(name, " ".join(f"{k}={v:.3f}" for k, v in row.items() if isinstance(v, float)))
-    if args.out:
-        Path(args.out).write_text(json.dumps(result, indent=1))
+    torch.set_float32_matmul_precision("medium")
+    model, result = load_model(args.checkpoint), {}
+    for name, row in table(model, store, args.per_set):
+        result[name] = row
+        values = " ".join(f"{k}={v:.3f}" for k, v in row.items() if isinstance(v, float))
+        print(name, values, flush=True)
+        if args.out:
+            Path(args.out).write_text(json.dumps(result, indent=1))
 
 
 if __name__ == "__main__":

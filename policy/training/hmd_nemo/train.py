@@ -162,7 +162,7 @@ class Run:
         """Validation table of the averaged weights."""
         kept = {k: v.clone() for k, v in self.model.state_dict().items()}
         self.model.load_state_dict(self.average)
-        result = table(self.model, store, per_set=40)
+        result = dict(table(self.model, store, per_set=40))
         self.model.load_state_dict(kept)
         return result
 

@@ -9,6 +9,7 @@ pub mod follow;
 pub mod grpc;
 pub mod notify;
 pub mod output;
+pub mod page;
 pub mod pipeline;
 pub mod published;
 pub mod serving;

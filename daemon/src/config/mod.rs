@@ -5,6 +5,7 @@
 
 mod fields;
 pub mod files;
+mod outputs;
 
 use std::{collections::BTreeMap, path::PathBuf};
 
@@ -13,6 +14,7 @@ use posed_tracker::TrackerKind;
 use serde::Deserialize;
 
 pub use fields::{Loopback, NotLoopback, UnixSocket};
+pub use outputs::{Page, Vmc, VrChat};
 
 /// The wearer's heights that body proportions hold for, metres.
 pub const HEIGHT_M: std::ops::RangeInclusive<f32> = 1.0..=2.5;
@@ -33,6 +35,12 @@ pub struct Config {
     pub devices: Devices,
     /// Where to serve.
     pub grpc: Grpc,
+    /// The live page.
+    pub page: Page,
+    /// Poses for VMC receivers.
+    pub vmc: Vmc,
+    /// Trackers for VRChat.
+    pub vrchat: VrChat,
     /// What to log.
     pub log: Log,
 }
@@ -202,6 +210,7 @@ pub fn parse(layers: &[Layer]) -> Result<Config, ConfigError> {
                 message: error.to_string(),
             })?;
     config.check_roles()?;
+    config.page.check("all files together")?;
     Ok(config)
 }
 
@@ -265,7 +274,8 @@ impl Config {
             let allowed = "error, warn, info, debug or trace, or these by module".into();
             return fail("log.filter", filter.clone(), allowed);
         }
-        Ok(())
+        outputs::check_rate(origin, "vmc.rate_hz", self.vmc.rate_hz)?;
+        outputs::check_rate(origin, "vrchat.rate_hz", self.vrchat.rate_hz)
     }
 
     fn check_roles(&self) -> Result<(), ConfigError> {

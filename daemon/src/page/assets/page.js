@@ -1,0 +1,278 @@
+// The page: takes poses from the daemon as fast as they can be drawn, shows them, sends requests.
+
+import { Chart, write } from "./charts.js";
+import { Scene } from "./scene.js";
+
+const find = (id) => document.getElementById(id);
+const QUALITIES = [["no headset: pose held", "bad"], ["degraded", "fair"], ["partial", "fair"],
+  ["full", "good"]];
+const RETRY_MS = 1000;
+const JOINTS = 22;
+
+let hello = null;
+let pose = null;
+let isNew = false;
+let socket = null;
+let height = null;
+// Poses drawn, and poses that the daemon made meanwhile.
+let shown = 0;
+let span = 0;
+
+let scene = null;
+try {
+  scene = new Scene(find("scene"));
+} catch (error) {
+  show(`The wearer cannot be shown: ${error.message}.`);
+}
+
+// Says something in the middle of the scene; why there is no scene stays there.
+function say(text) {
+  if (scene) show(text);
+}
+
+function show(text) {
+  find("notice").hidden = !text;
+  find("notice").textContent = text;
+}
+
+const period = () => (hello ? 1000 / hello.rate_hz : 0);
+const ages = new Chart(find("age"), find("age-figures"), "--accent");
+const intervals = new Chart(find("interval"), find("interval-figures"), "--right", period);
+
+// ---- the connection
+
+function connect() {
+  socket = new WebSocket(`ws://${location.host}/live`);
+  socket.binaryType = "arraybuffer";
+  socket.onopen = () => {
+    link("connected", "good");
+    say("Waiting for the first pose.");
+    socket.send("1");
+  };
+  socket.onmessage = ({ data }) => {
+    if (data instanceof ArrayBuffer) takePose(new DataView(data));
+    else takeText(JSON.parse(data));
+  };
+  socket.onclose = () => {
+    link("not connected", "bad");
+    say("posed does not answer. Trying again.");
+    setTimeout(connect, RETRY_MS);
+  };
+}
+
+function link(text, state) {
+  find("link").textContent = text;
+  find("link").dataset.state = state;
+}
+
+// The layout is documented where the daemon writes it (page/message.rs).
+function takePose(view) {
+  const float = (at) => view.getFloat32(at, true);
+  const vector = (at) => [float(at), float(at + 4), float(at + 8)];
+  const quaternion = (at) => [...vector(at), float(at + 12)];
+  const sequence = view.getUint32(0, true);
+  const [quality, tracker, deviceCount, timingCount] = [4, 5, 6, 7].map((at) => view.getUint8(at));
+  let at = 16;
+  const joints = [];
+  for (let joint = 0; joint < JOINTS; joint++, at += 28) {
+    joints.push({ position: vector(at), rotation: quaternion(at + 12) });
+  }
+  const devices = [];
+  for (let device = 0; device < deviceCount; device++, at += 32) {
+    const [role, lookup, tracking] = [0, 1, 2].map((byte) => view.getUint8(at + byte));
+    devices.push({ role, lookup, tracking, position: vector(at + 4),
+      rotation: quaternion(at + 16) });
+  }
+  const now = performance.now() / 1000;
+  for (let timing = 0; timing < timingCount; timing++, at += 8) {
+    const time = now - ((timingCount - 1 - timing) * period()) / 1000;
+    ages.add(time, float(at));
+    intervals.add(time, float(at + 4));
+  }
+  span += pose && sequence > pose.sequence ? sequence - pose.sequence : 1;
+  say("");
+  pose = { sequence, quality, tracker, joints, devices };
+  isNew = true;
+}
+
+function takeText(message) {
+  if (message.hello) takeHello(message.hello);
+  if (message.status) takeStatus(message.status);
+}
+
+function takeHello(news) {
+  hello = news;
+  if (scene) scene.stations = hello.stations;
+  find("trackers").replaceChildren(...hello.trackers.map((name) => {
+    const button = document.createElement("button");
+    button.type = "button";
+    button.textContent = name;
+    button.dataset.tracker = name;
+    button.onclick = () => ask({ tracker: name }, `Tracker ${name} is asked for.`);
+    return button;
+  }));
+}
+
+// ---- what is shown
+
+let drawnAt = 0;
+function frame(now) {
+  requestAnimationFrame(frame);
+  scene?.pace(now - drawnAt);
+  drawnAt = now;
+  scene?.draw(pose);
+  if (!isNew) return;
+  isNew = false;
+  shown += 1;
+  const [text, state] = QUALITIES[pose.quality];
+  set(find("quality"), text, state);
+  const by = hello?.tracker_names[pose.tracker] ?? "";
+  set(find("by"), by && `by ${by}`);
+  for (const button of find("trackers").children) {
+    button.setAttribute("aria-pressed", String(button.dataset.tracker === by));
+  }
+  document.body.dataset.sequence = pose.sequence;
+  if (socket.readyState === WebSocket.OPEN) socket.send("1");
+}
+
+// Writes only what changed: a status that is read aloud must not repeat itself.
+function set(element, text, state) {
+  if (element.textContent !== text) element.textContent = text;
+  if (state && element.dataset.state !== state) element.dataset.state = state;
+}
+
+function takeStatus({ height_m, devices, ticks }) {
+  if (height !== height_m) {
+    height = height_m;
+    if (document.activeElement !== find("height")) {
+      find("height").value = Math.round(height * 100);
+    }
+  }
+  const connected = devices.filter((device) => device.connected).length;
+  find("device-count").textContent = devices.length ? `${connected} of ${devices.length}` : "";
+  const none = document.createElement("li");
+  none.className = "none";
+  none.textContent = "None is plugged in.";
+  find("devices").replaceChildren(...(devices.length ? devices.map(deviceItem) : [none]));
+  if (ticks) {
+    write(find("tick-figures"), [
+      ["late ticks", `${ticks.late} of ${ticks.done}`],
+      ["latest", `${ticks.lateness_max_ms.toFixed(2)} ms`],
+      ["real-time", ticks.real_time ? "yes" : "no"],
+    ]);
+  }
+}
+
+function deviceItem(device) {
+  const item = document.createElement("li");
+  item.className = "device";
+  const state = !device.connected ? "off" : { optical: "good", inertial: "fair" }[device.how] ?? "bad";
+  item.dataset.state = state;
+  const part = (tag, name, text) => {
+    const element = document.createElement(tag);
+    element.className = name;
+    element.textContent = text;
+    item.append(element);
+    return element;
+  };
+  const tracking = device.connected
+    ? { optical: "tracked", inertial: "by inertia alone" }[device.how] ?? "not tracked" : "gone";
+  part("span", "dot", "");
+  const role = part("span", "role", device.role === "none" ? "no role"
+    : device.role.replaceAll("_", " "));
+  const how = document.createElement("span");
+  how.className = "quiet";
+  how.textContent = ` ${tracking}`;
+  role.append(how);
+  const charge = part("span", "charge", device.charge === null ? ""
+    : `${Math.round(device.charge * 100)} %${device.charging ? " ⚡" : ""}`);
+  if (device.charge !== null) charge.title = device.charging ? "battery, charging" : "battery";
+  if (device.charge !== null && device.charge < 0.15 && !device.charging) {
+    charge.dataset.state = "bad";
+  }
+  part("span", "what", [device.model, device.serial].filter(Boolean).join(" · "));
+  if (!device.connected) return item;
+  const numbers = [`${Math.round(device.rate_hz)}/s`,
+    `${Math.round(device.tracked_share * 100)} % of the time`];
+  if (device.residual_rad > 0) numbers.push(`${(device.residual_rad * 1000).toFixed(2)} mrad`);
+  if (device.errors) numbers.push(`${device.errors} errors`);
+  if (device.dropped) numbers.push(`${device.dropped} dropped`);
+  part("span", "numbers", numbers.join(" · "));
+  const bar = document.createElement("i");
+  bar.style.width = `${Math.round(device.tracked_share * 100)}%`;
+  part("span", "share", "").append(bar);
+  return item;
+}
+
+setInterval(() => {
+  const now = performance.now() / 1000;
+  ages.draw(now);
+  intervals.draw(now);
+}, 125);
+
+let counted = { at: 0, shown: 0, span: 0 };
+setInterval(() => {
+  const next = { at: performance.now(), shown, span };
+  const rate = (name) => Math.round((next[name] - counted[name]) * 1000 / (next.at - counted.at));
+  find("frames").textContent = pose ? `${rate("shown")} of ${rate("span")} poses/s shown` : "";
+  counted = next;
+}, 1000);
+
+// ---- what is asked for
+
+async function ask(wish, done) {
+  const answer = find("answer");
+  let [text, state] = [done, ""];
+  try {
+    const reply = await fetch("control", { method: "POST", body: JSON.stringify(wish),
+      headers: { "Content-Type": "application/json" } });
+    if (!reply.ok) [text, state] = [await reply.text(), "bad"];
+  } catch {
+    [text, state] = ["posed does not answer.", "bad"];
+  }
+  answer.textContent = text;
+  answer.dataset.state = state;
+}
+
+function askHeight(metres) {
+  if (metres >= 1 && metres <= 2.5) {
+    ask({ height_m: metres }, `Height is set to ${metres.toFixed(2)} m.`);
+    return;
+  }
+  find("answer").textContent = "Give a height from 100 to 250 cm.";
+  find("answer").dataset.state = "bad";
+  find("height").value = Math.round(height * 100);
+}
+
+find("reset").onclick = () => ask("reset", "The tracker starts anew.");
+find("height").onchange = () => askHeight(find("height").value / 100);
+for (const button of document.querySelectorAll(".step")) {
+  button.onclick = () => {
+    const metres = find("height").value / 100 + Number(button.dataset.step);
+    find("height").value = Math.round(metres * 100);
+    askHeight(Math.round(metres * 100) / 100);
+  };
+}
+for (const button of document.querySelectorAll("#views button")) {
+  button.onclick = () => scene?.look(button.dataset.view);
+}
+
+// ---- colours
+
+const THEMES = ["auto", "dark", "light"];
+function theme(name) {
+  if (name === "auto") delete document.documentElement.dataset.theme;
+  else document.documentElement.dataset.theme = name;
+  find("theme-name").textContent = name;
+  localStorage.setItem("theme", name);
+  scene?.paint();
+}
+find("theme").onclick = () => {
+  const now = THEMES.indexOf(find("theme-name").textContent);
+  theme(THEMES[(now + 1) % THEMES.length]);
+};
+matchMedia("(prefers-color-scheme: light)").onchange = () => scene?.paint();
+theme(THEMES.includes(localStorage.getItem("theme")) ? localStorage.getItem("theme") : "auto");
+
+connect();
+requestAnimationFrame(frame);

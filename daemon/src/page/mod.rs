@@ -1,0 +1,181 @@
+//! The live page: what posed sees, in a browser on the same machine.
+//!
+//! The page is embedded in the binary and asks for nothing from outside. Poses come to it through a
+//! WebSocket against credits, so that a slow browser gets fewer of them and never old ones;
+//! requests go back as small JSON posts. [`guard`] decides who may do either.
+
+mod control;
+pub mod guard;
+mod message;
+mod socket;
+
+use std::{fmt, io, net::TcpListener, sync::Arc};
+
+use axum::{
+    Router,
+    body::Bytes,
+    extract::{DefaultBodyLimit, State, WebSocketUpgrade},
+    http::{HeaderMap, StatusCode, header},
+    middleware,
+    response::{IntoResponse, Response},
+    routing::{get, post},
+};
+use posed_tracker::TrackerKind;
+use tokio::sync::{Semaphore, watch};
+
+use crate::{
+    grpc::Services,
+    pipeline::{live::Shared, tracking::Request},
+};
+use guard::Access;
+
+/// Browsers that may watch at once.
+const WATCHERS_MAX: usize = 8;
+/// Bytes of a request's body; the longest sensible one has 30.
+const BODY_BYTES_MAX: usize = 256;
+
+/// A base station, for the scene.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Station {
+    /// In the world, metres.
+    pub position: [f32; 3],
+    /// Its frame (looks along -Z) to the world.
+    pub rotation: [f32; 4],
+}
+
+/// What the page shows, and what it can do.
+pub struct Page {
+    /// Poses, devices, wearer.
+    pub services: Services,
+    /// The tracker loop's counters; absent in a replay.
+    pub ticks: Option<Arc<Shared>>,
+    /// Poses a second that the tracker is set to.
+    pub rate_hz: f64,
+    /// Trackers that can be chosen.
+    pub trackers: Vec<TrackerKind>,
+    /// Base stations that are known.
+    pub stations: Vec<Station>,
+    /// Hands a request to the tracker; `false` where too many are waiting.
+    pub request: Arc<dyn Fn(Request) -> bool + Send + Sync>,
+}
+
+impl fmt::Debug for Page {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Page")
+            .field("services", &self.services)
+            .finish_non_exhaustive()
+    }
+}
+
+/// What the handlers share.
+#[derive(Clone)]
+struct Shelf {
+    page: Arc<Page>,
+    watchers: Arc<Semaphore>,
+    stop: watch::Receiver<()>,
+}
+
+/// Serves the page until `shutdown`; then says good-bye to the browsers and returns.
+///
+/// # Errors
+/// The socket fails.
+pub async fn serve(
+    page: Page,
+    access: Access,
+    listener: TcpListener,
+    shutdown: impl Future<Output = ()> + Send + 'static,
+) -> io::Result<()> {
+    listener.set_nonblocking(true)?;
+    let listener = tokio::net::TcpListener::from_std(listener)?;
+    let (stopper, stop) = watch::channel(());
+    let shelf = Shelf {
+        page: Arc::new(page),
+        watchers: Arc::new(Semaphore::new(WATCHERS_MAX)),
+        stop,
+    };
+    let ended = async move {
+        shutdown.await;
+        drop(stopper);
+    };
+    axum::serve(listener, router(shelf, access))
+        .with_graceful_shutdown(ended)
+        .await
+}
+
+fn router(shelf: Shelf, access: Access) -> Router {
+    Router::new()
+        .route("/", get(|| file(HTML, "text/html; charset=utf-8")))
+        .route("/page.css", get(|| file(CSS, "text/css; charset=utf-8")))
+        .route("/page.js", get(|| file(PAGE_JS, SCRIPT)))
+        .route("/scene.js", get(|| file(SCENE_JS, SCRIPT)))
+        .route("/shapes.js", get(|| file(SHAPES_JS, SCRIPT)))
+        .route("/charts.js", get(|| file(CHARTS_JS, SCRIPT)))
+        .route("/icon.svg", get(|| file(ICON, "image/svg+xml")))
+        .route("/live", get(live))
+        .route("/control", post(control))
+        .layer(DefaultBodyLimit::max(BODY_BYTES_MAX))
+        .layer(middleware::from_fn_with_state(
+            Arc::new(access),
+            guard::check,
+        ))
+        .with_state(shelf)
+}
+
+const SCRIPT: &str = "text/javascript; charset=utf-8";
+const HTML: &str = include_str!("assets/page.html");
+const CSS: &str = include_str!("assets/page.css");
+const PAGE_JS: &str = include_str!("assets/page.js");
+const SCENE_JS: &str = include_str!("assets/scene.js");
+const SHAPES_JS: &str = include_str!("assets/shapes.js");
+const CHARTS_JS: &str = include_str!("assets/charts.js");
+const ICON: &str = include_str!("assets/icon.svg");
+
+/// The browser is told to fetch from nowhere else and to be shown inside no other page.
+const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; \
+                      img-src 'self'; connect-src 'self'; base-uri 'none'; \
+                      form-action 'none'; frame-ancestors 'none'";
+
+async fn file(text: &'static str, kind: &'static str) -> Response {
+    let headers = [
+        (header::CONTENT_TYPE, kind),
+        (header::CACHE_CONTROL, "no-cache"),
+        (header::CONTENT_SECURITY_POLICY, POLICY),
+        (header::X_CONTENT_TYPE_OPTIONS, "nosniff"),
+        (header::REFERRER_POLICY, "no-referrer"),
+    ];
+    (headers, text).into_response()
+}
+
+async fn live(State(shelf): State<Shelf>, upgrade: WebSocketUpgrade) -> Response {
+    let Ok(place) = Arc::clone(&shelf.watchers).try_acquire_owned() else {
+        let text = format!("{WATCHERS_MAX} browsers are watching already; close one of them");
+        return (StatusCode::SERVICE_UNAVAILABLE, text).into_response();
+    };
+    upgrade
+        .max_message_size(socket::MESSAGE_BYTES_MAX)
+        .on_upgrade(async move |browser| {
+            socket::watch(browser, &shelf.page, shelf.stop).await;
+            drop(place);
+        })
+}
+
+async fn control(State(shelf): State<Shelf>, headers: HeaderMap, body: Bytes) -> Response {
+    // A form of another site could be sent without the browser's asking; JSON could not.
+    if headers
+        .get(header::CONTENT_TYPE)
+        .is_none_or(|kind| kind != "application/json")
+    {
+        return (StatusCode::UNSUPPORTED_MEDIA_TYPE, "send application/json").into_response();
+    }
+    match control::parse(&body, &shelf.page.trackers) {
+        Ok(request) if (shelf.page.request)(request) => StatusCode::NO_CONTENT.into_response(),
+        Ok(_) => {
+            let text = "too many requests are waiting; try again";
+            (StatusCode::SERVICE_UNAVAILABLE, text).into_response()
+        }
+        Err(text) => (StatusCode::BAD_REQUEST, text).into_response(),
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -5,6 +5,7 @@
 //! "Inertialization").
 
 use glam::{Quat, Vec3};
+use posed_body::{BodyPose, JOINTS, Joint, Skeleton};
 
 use crate::geometry::min_jerk;
 
@@ -91,6 +92,61 @@ impl Fade {
     }
 }
 
+/// A whole pose that changes its source: the rotations' differences decay, and the body stays hung
+/// from the new source's head.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct PoseFade {
+    turns: [Quat; JOINTS],
+    left: f32,
+    span: f32,
+}
+
+impl PoseFade {
+    /// Nothing to fade.
+    pub(crate) const DONE: Self = Self {
+        turns: [Quat::IDENTITY; JOINTS],
+        left: 0.0,
+        span: 1.0,
+    };
+
+    /// From `shown` over to `source` in `span` seconds.
+    pub(crate) fn start(shown: &BodyPose, source: &BodyPose, span: f32) -> Self {
+        let mut turns = [Quat::IDENTITY; JOINTS];
+        for (index, turn) in turns.iter_mut().enumerate() {
+            let between = shown.rotations[index] * source.rotations[index].inverse();
+            *turn = (if between.w < 0.0 { -between } else { between }).normalize();
+        }
+        Self {
+            turns,
+            left: span,
+            span,
+        }
+    }
+
+    /// Lets time pass.
+    pub(crate) fn advance(&mut self, dt: f32) {
+        self.left = (self.left - dt).max(0.0);
+    }
+
+    /// The source with what is left of the difference, its head joint where the source has it.
+    pub(crate) fn apply(&self, source: &BodyPose, skeleton: &Skeleton) -> BodyPose {
+        if self.left <= 0.0 {
+            return *source;
+        }
+        let share = min_jerk(self.left / self.span);
+        let mut pose = *source;
+        for (rotation, turn) in pose.rotations.iter_mut().zip(&self.turns) {
+            *rotation = (Quat::IDENTITY.slerp(*turn, share) * *rotation).normalize();
+        }
+        let (wanted, joints) = (skeleton.forward(source), skeleton.forward(&pose));
+        let neck = joints.rotation(Joint::Neck);
+        let head = neck.inverse() * wanted.rotation(Joint::Head);
+        pose.rotations[Joint::Head as usize] = head.normalize();
+        pose.root += wanted.position(Joint::Head) - joints.position(Joint::Head);
+        pose
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -127,5 +183,21 @@ mod tests {
         };
         let there = source.into_frame(&base).out_of(&base);
         assert!(there.position.distance(source.position) < 1e-6);
+    }
+
+    #[test]
+    fn a_pose_fades_with_its_head_in_place() {
+        let skeleton = Skeleton::of_height(1.7);
+        let mut shown = BodyPose::rest(Vec3::Y);
+        shown.rotations = shown.rotations.map(|_| Quat::from_rotation_x(0.1));
+        let source = BodyPose::rest(Vec3::new(0.2, 1.0, 0.0));
+        let mut fade = PoseFade::start(&shown, &source, 0.2);
+        let first = fade.apply(&source, &skeleton);
+        let elbow = Joint::LeftElbow as usize;
+        assert!(first.rotations[elbow].angle_between(shown.rotations[elbow]) < 1e-3);
+        let head = |pose: &BodyPose| skeleton.forward(pose).position(Joint::Head);
+        assert!(head(&first).distance(head(&source)) < 1e-5);
+        fade.advance(0.3);
+        assert_eq!(fade.apply(&source, &skeleton), source);
     }
 }

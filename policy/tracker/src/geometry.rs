@@ -82,9 +82,9 @@ impl Limb {
             .sqrt()
     }
 
-    /// Rotations that carry the limb's end from `root` to `goal`, or as near as the bones allow,
-    /// with the hinge displaced towards `pole`.
-    pub(crate) fn reach(&self, root: Vec3, goal: Vec3, pole: Vec3) -> Reached {
+    /// The two bones in the world that carry the limb's end from `root` to `goal`, or as near as
+    /// they allow, with the hinge displaced towards `pole`.
+    pub(crate) fn bones_to(&self, root: Vec3, goal: Vec3, pole: Vec3) -> (Vec3, Vec3) {
         let (a, b) = (self.upper.length(), self.lower.length());
         let to_goal = goal - root;
         let along = direction(to_goal, Vec3::NEG_Y);
@@ -92,9 +92,15 @@ impl Limb {
         let distance = to_goal.length().clamp(self.shortest(), a + b - 1e-5);
         let cosine = (a * a + distance * distance - b * b) / (2.0 * a * distance);
         let cosine = cosine.clamp(-1.0, 1.0);
-        let upper = along * cosine + out * (1.0 - cosine * cosine).sqrt();
-        let lower = direction(along * distance - upper * a, along);
-        let normal = out.cross(along);
+        let upper = (along * cosine + out * (1.0 - cosine * cosine).sqrt()) * a;
+        (upper, direction(along * distance - upper, along) * b)
+    }
+
+    /// Rotations that do so, with the hinge turning about its axis only.
+    pub(crate) fn reach(&self, root: Vec3, goal: Vec3, pole: Vec3) -> Reached {
+        let (upper, lower) = self.bones_to(root, goal, pole);
+        let along = direction(goal - root, Vec3::NEG_Y);
+        let normal = square_to(pole, along).cross(along);
         Reached {
             upper: frame(upper, normal) * frame(self.upper, self.hinge).inverse(),
             lower: frame(lower, normal) * frame(self.lower, self.hinge).inverse(),

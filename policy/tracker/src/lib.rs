@@ -3,13 +3,17 @@
 pub mod eval;
 mod fade;
 mod geometry;
+pub mod hmd_nemo;
 pub mod ik;
 pub mod inference;
 pub mod metrics;
+pub mod physics;
 mod presence;
 pub mod sensors;
 pub mod tracker;
 
+pub use hmd_nemo::HmdNemo;
 pub use ik::Ik;
+pub use physics::Physical;
 pub use sensors::{Mount, Mounts};
 pub use tracker::{Input, Quality, Tracked, Tracker, TrackerKind, Wearer};

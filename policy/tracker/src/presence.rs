@@ -7,6 +7,7 @@ use posed_signal::{Lookup, Pose, PoseHow, history::EXTRAPOLATE_NS_MAX};
 use crate::{
     fade::{Fade, Place},
     geometry::{gain, yaw_of},
+    tracker::Quality,
 };
 
 /// A returning hand or headset takes over in this time, seconds.
@@ -55,6 +56,16 @@ pub(crate) enum HeadState {
     Rough,
     /// Not tracked.
     Held,
+}
+
+/// How far a pose made from these parts can be trusted.
+pub(crate) fn quality(head: HeadState, hands: [Option<Sensed>; 2]) -> Quality {
+    match head {
+        HeadState::Held => Quality::Held,
+        HeadState::Rough => Quality::Degraded,
+        HeadState::Exact if hands.iter().all(Option::is_some) => Quality::Full,
+        HeadState::Exact => Quality::Partial,
+    }
 }
 
 /// The headset's part.

@@ -19,7 +19,7 @@ use posed_signal::{HostTime, Role};
 use crate::{
     fade::Place,
     geometry::gain,
-    presence::{Hand, Head, HeadState, Sensed},
+    presence::{Hand, Head, Sensed, quality},
     sensors::TOE_JOINT_OVER_STATURE,
     tracker::{Input, Quality, Tracked, Tracker, TrackerKind},
 };
@@ -116,15 +116,6 @@ impl Tracker for Ik {
             quality: quality(state, hands),
             kind: TrackerKind::Ik,
         }
-    }
-}
-
-fn quality(head: HeadState, hands: [Option<Sensed>; 2]) -> Quality {
-    match head {
-        HeadState::Held => Quality::Held,
-        HeadState::Rough => Quality::Degraded,
-        HeadState::Exact if hands.iter().all(Option::is_some) => Quality::Full,
-        HeadState::Exact => Quality::Partial,
     }
 }
 

@@ -1,0 +1,116 @@
+//! From the tracker's ticks to the network's steps of 1/60 s, and back.
+//!
+//! The network was trained at 60 Hz. A tick that comes about 1/60 s after the last step makes one
+//! step at its own time, so that at 60 Hz nothing is delayed. At other rates steps are made on a
+//! 60 Hz grid with inputs interpolated between ticks, and the answer is carried on from the last
+//! two steps to the tick.
+
+use posed_body::JOINTS;
+use posed_signal::HostTime;
+
+use super::{
+    features::{Builder, Seen},
+    network::{Answer, Step},
+};
+
+/// One step's time, nanoseconds.
+const STEP_NS: i64 = 16_666_667;
+/// How far off the grid a step may be made at the tick's own time.
+const SLACK_NS: i64 = STEP_NS / 8;
+/// After a gap longer than this the network starts anew.
+const GAP_NS: i64 = 15 * STEP_NS;
+
+/// What is carried from tick to tick.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct Grid {
+    /// The last tick and what was seen at it.
+    tick: Option<(HostTime, Seen)>,
+    /// The last step, what was seen and what was answered.
+    step: Option<(HostTime, Seen, Answer)>,
+    /// The step before.
+    earlier: Option<(HostTime, Answer)>,
+}
+
+impl Grid {
+    /// Takes the tick at `now` and makes the steps that are due. The answer at `now`; `None` while
+    /// the network gives none.
+    pub(super) fn advance(
+        &mut self,
+        now: HostTime,
+        seen: &Seen,
+        height: f32,
+        network: &mut Step,
+    ) -> Option<Answer> {
+        let gap = self
+            .tick
+            .is_none_or(|(last, _)| now.since_ns(last) > GAP_NS);
+        if gap {
+            *self = Self::default();
+            network.reset();
+        }
+        let last_tick = self.tick.replace((now, *seen)).unwrap_or((now, *seen));
+        while let Some(at) = self.due(now) {
+            let there = if at == now {
+                *seen
+            } else {
+                between(&last_tick, now, seen, at)
+            };
+            let before = self.step.as_ref().map(|(_, seen, _)| seen);
+            let since = self.step.map_or(0, |(last, ..)| at.since_ns(last));
+            let features = Builder::new(&there, before, since as f32 * 1e-9, height);
+            let visible = there.hands.map(|hand| hand.is_some());
+            let Some(answer) = network.run(&features, visible) else {
+                *self = Self::default();
+                return None;
+            };
+            self.earlier = self.step.map(|(at, _, answer)| (at, answer));
+            self.step = Some((at, there, answer));
+        }
+        self.answer(now)
+    }
+
+    /// Forgets everything.
+    pub(super) fn reset(&mut self) {
+        *self = Self::default();
+    }
+
+    /// When the next step has to be made, if that is not after `now`.
+    fn due(&self, now: HostTime) -> Option<HostTime> {
+        let Some((last, ..)) = self.step else {
+            return Some(now);
+        };
+        let late = now.since_ns(last.plus_ns(STEP_NS));
+        if late < -SLACK_NS {
+            return None;
+        }
+        Some(if late <= SLACK_NS {
+            now
+        } else {
+            last.plus_ns(STEP_NS)
+        })
+    }
+
+    /// The last step's answer carried on to `now`.
+    fn answer(&self, now: HostTime) -> Option<Answer> {
+        let (at, _, answer) = self.step?;
+        let ahead = now.since_ns(at);
+        let Some((before, earlier)) = self.earlier.filter(|_| ahead > 0) else {
+            return Some(answer);
+        };
+        let share = ahead as f32 / at.since_ns(before).max(1) as f32;
+        let mut carried = answer;
+        for joint in 0..JOINTS {
+            let (from, to) = (earlier.rotations[joint], answer.rotations[joint]);
+            let from = if from.dot(to) < 0.0 { -from } else { from };
+            carried.rotations[joint] = (to + (to - from) * share).normalize();
+        }
+        carried.root_from_head += (answer.root_from_head - earlier.root_from_head) * share;
+        Some(carried)
+    }
+}
+
+fn between(last: &(HostTime, Seen), now: HostTime, seen: &Seen, at: HostTime) -> Seen {
+    let span = now.since_ns(last.0).max(1) as f32;
+    let fraction = (at.since_ns(last.0) as f32 / span).clamp(0.0, 1.0);
+    last.1.interpolate(seen, fraction)
+}

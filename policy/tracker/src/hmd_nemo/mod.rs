@@ -1,0 +1,218 @@
+//! HMD-NeMo (Aliakbarian et al. 2023): a recurrent network that makes the whole body from the
+//! headset and the hands, seen or not.
+//!
+//! Each tick the parts are taken as they are ([`features`]), the network makes its steps of 1/60 s
+//! ([`grid`], [`network`]), and its answer is moved to meet headset and hands ([`refine`]). `ik`
+//! runs beside it: it stands in while there is no head or no answer, and both fade into each other.
+
+mod features;
+mod grid;
+mod network;
+mod refine;
+
+use posed_body::{BodyPose, Skeleton};
+use posed_signal::{HostTime, Role};
+
+use crate::{
+    fade::{Place, PoseFade},
+    ik::Ik,
+    inference::{InferenceError, Runtime},
+    presence::{Hand, Head, HeadState, Sensed, quality},
+    tracker::{Input, Tracked, Tracker, TrackerKind},
+};
+use features::Seen;
+use grid::Grid;
+use network::Step;
+use refine::Draft;
+
+pub use refine::Energy;
+
+/// A lost hand is where the network puts it after this time, seconds.
+const LEAVE_S: f32 = 0.3;
+/// Network and `ik` take over from each other in this time, seconds.
+const TAKE_OVER_S: f32 = 0.4;
+/// A network that starts from nothing while a pose is already shown settles for so long before it
+/// takes over, seconds.
+const WARM_S: f32 = 0.15;
+/// A longer gap between ticks counts as this long, seconds.
+const GAP_MAX: f32 = 0.5;
+
+/// How the tracker works; the default is what ships.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Options {
+    /// Whether the answer is moved to meet headset and hands; otherwise it only hangs from the
+    /// head joint.
+    pub refine: bool,
+    /// How hands are met.
+    pub energy: Energy,
+}
+
+impl Default for Options {
+    fn default() -> Self {
+        Self {
+            refine: true,
+            energy: Energy::Plain,
+        }
+    }
+}
+
+/// The tracker.
+pub struct HmdNemo {
+    network: Step,
+    grid: Grid,
+    options: Options,
+    ik: Ik,
+    head: Head,
+    hands: [Hand; 2],
+    last: Option<HostTime>,
+    /// The pose shown last, and who made it.
+    shown: Option<(BodyPose, TrackerKind)>,
+    fade: PoseFade,
+    contact: [f32; 4],
+    /// Seconds since the network started from nothing.
+    warm_s: f32,
+}
+
+impl HmdNemo {
+    /// Loads the model `bytes`; `name` is for errors.
+    ///
+    /// # Errors
+    /// The bytes are no model, or one with other inputs and outputs than this program's.
+    pub fn load(
+        runtime: &Runtime,
+        name: &str,
+        bytes: &[u8],
+        options: Options,
+    ) -> Result<Self, InferenceError> {
+        Ok(Self {
+            network: Step::load(runtime, name, bytes)?,
+            grid: Grid::default(),
+            options,
+            ik: Ik::default(),
+            head: Head::NEW,
+            hands: [Hand::new(LEAVE_S); 2],
+            last: None,
+            shown: None,
+            fade: PoseFade::DONE,
+            contact: [0.0; 4],
+            warm_s: WARM_S,
+        })
+    }
+
+    /// Probabilities of the last tick that the ankles (left, right) and toes (left, right) stand.
+    #[must_use]
+    pub fn contact(&self) -> [f32; 4] {
+        self.contact
+    }
+
+    /// The network's pose at `now`, refined; `None` while it has none.
+    fn predict(
+        &mut self,
+        now: HostTime,
+        head: &Place,
+        hands: [Option<Sensed>; 2],
+        skeleton: &Skeleton,
+        dt: f32,
+    ) -> Option<BodyPose> {
+        let seen = Seen {
+            head: *head,
+            hands: hands.map(|hand| Some(hand?.place)),
+        };
+        let height = skeleton.head_height().max(0.1);
+        let Some(answer) = self.grid.advance(now, &seen, height, &mut self.network) else {
+            self.warm_s = 0.0;
+            return None;
+        };
+        self.contact = answer.contact;
+        let mut draft = Draft::new(answer.rotations, head, skeleton);
+        if self.options.refine {
+            draft.meet_head(head);
+            for side in 0..2 {
+                let base = draft.shoulder(side);
+                let otherwise = draft.wrist(side).into_frame(&base);
+                let goal = self.hands[side].update(hands[side], &base, &otherwise, dt);
+                draft.meet_hand(side, &goal, self.options.energy);
+            }
+        }
+        let pose = *draft.pose();
+        pose.is_sound().then_some(pose)
+    }
+}
+
+impl Tracker for HmdNemo {
+    fn kind(&self) -> TrackerKind {
+        TrackerKind::HmdNemo
+    }
+
+    fn reset(&mut self) {
+        self.network.reset();
+        self.grid.reset();
+        self.ik.reset();
+        self.head = Head::NEW;
+        self.hands = [Hand::new(LEAVE_S); 2];
+        (self.last, self.shown, self.fade) = (None, None, PoseFade::DONE);
+        self.warm_s = WARM_S;
+    }
+
+    fn track(&mut self, input: &Input<'_>) -> Tracked {
+        let dt = self
+            .last
+            .map_or(0.0, |last| input.target.since_secs(last) as f32);
+        self.last = Some(input.target);
+        let dt = dt.clamp(0.0, GAP_MAX);
+        let stand_in = self.ik.track(input);
+        let sensed = |role| Sensed::from_lookup(&input.part(role));
+        // A hand whose position is only held or guessed is no measurement to the network.
+        let hands =
+            [Role::LeftHand, Role::RightHand].map(|role| sensed(role).filter(|hand| hand.solid));
+        let skeleton = &input.wearer.skeleton;
+        let (head, state) = self
+            .head
+            .update(sensed(Role::Head), dt, skeleton.head_height());
+        let predicted = match state {
+            HeadState::Held => {
+                self.grid.reset();
+                self.warm_s = 0.0;
+                None
+            }
+            _ => self.predict(input.target, &head, hands, skeleton, dt),
+        };
+        self.warm_s += dt;
+        let predicted = predicted.filter(|_| self.warm_s >= WARM_S);
+        let kind = if predicted.is_some() {
+            TrackerKind::HmdNemo
+        } else {
+            stand_in.kind
+        };
+        let pose = self.fade_over(&predicted.unwrap_or(stand_in.pose), kind, skeleton, dt);
+        Tracked {
+            pose,
+            quality: quality(state, hands),
+            kind,
+        }
+    }
+}
+
+impl HmdNemo {
+    /// Shows `source`, or what leads over to it from another tracker's pose.
+    fn fade_over(
+        &mut self,
+        source: &BodyPose,
+        kind: TrackerKind,
+        skeleton: &Skeleton,
+        dt: f32,
+    ) -> BodyPose {
+        match self.shown {
+            Some((shown, by)) if by != kind => {
+                self.fade = PoseFade::start(&shown, source, TAKE_OVER_S);
+            }
+            _ => self.fade.advance(dt),
+        }
+        let pose = self.fade.apply(source, skeleton);
+        self.shown = Some((pose, kind));
+        pose
+    }
+}
+
+#[cfg(test)]
+mod tests;

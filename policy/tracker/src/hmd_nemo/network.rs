@@ -1,0 +1,160 @@
+//! The network as one step of 1/60 s, with its memory.
+
+use glam::{Mat3, Quat, Vec3};
+use posed_body::JOINTS;
+
+use super::features::{Builder, STREAM, STREAMS};
+use crate::inference::{InferenceError, Network, Port, Runtime};
+
+const INPUTS: [Port; 7] = [
+    Port {
+        name: "features",
+        shape: &[Some(1), Some(STREAMS), Some(STREAM)],
+    },
+    Port {
+        name: "visible",
+        shape: &[Some(1), Some(2)],
+    },
+    Port {
+        name: "reset",
+        shape: &[Some(1)],
+    },
+    Port {
+        name: "streams",
+        shape: &[Some(STREAMS), Some(1), None],
+    },
+    Port {
+        name: "token",
+        shape: &[Some(4), Some(1), None],
+    },
+    Port {
+        name: "pose",
+        shape: &[Some(1), None],
+    },
+    Port {
+        name: "trajectory",
+        shape: &[Some(1), None],
+    },
+];
+const OUTPUTS: [Port; 7] = [
+    Port {
+        name: "rotation",
+        shape: &[Some(1), Some(JOINTS), Some(3), Some(3)],
+    },
+    Port {
+        name: "root",
+        shape: &[Some(1), Some(3)],
+    },
+    Port {
+        name: "contact",
+        shape: &[Some(1), Some(4)],
+    },
+    Port {
+        name: "streams_next",
+        shape: &[Some(STREAMS), Some(1), None],
+    },
+    Port {
+        name: "token_next",
+        shape: &[Some(4), Some(1), None],
+    },
+    Port {
+        name: "pose_next",
+        shape: &[Some(1), None],
+    },
+    Port {
+        name: "trajectory_next",
+        shape: &[Some(1), None],
+    },
+];
+const FEATURES: usize = 0;
+const VISIBLE: usize = 1;
+const RESET: usize = 2;
+/// State inputs, and the outputs that follow them up.
+const STATE: std::ops::Range<usize> = 3..7;
+const ROTATION: usize = 0;
+const ROOT: usize = 1;
+const CONTACT: usize = 2;
+
+/// The network's answer to one step.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Answer {
+    /// Local rotations, that of the pelvis to the world.
+    pub rotations: [Quat; JOINTS],
+    /// The pelvis from the head joint in the world, metres: the trajectory decoder's estimate.
+    pub root_from_head: Vec3,
+    /// Probabilities that the ankles (left, right) and toes (left, right) stand.
+    pub contact: [f32; 4],
+}
+
+/// A loaded HMD-NeMo with its memory.
+pub(super) struct Step {
+    network: Network<7, 7>,
+    reset: bool,
+}
+
+impl Step {
+    pub(super) fn load(
+        runtime: &Runtime,
+        model: &str,
+        bytes: &[u8],
+    ) -> Result<Self, InferenceError> {
+        let network = Network::load(runtime, model, bytes, INPUTS, OUTPUTS)?;
+        Ok(Self {
+            network,
+            reset: true,
+        })
+    }
+
+    /// Drops the memory before the next step.
+    pub(super) fn reset(&mut self) {
+        self.reset = true;
+    }
+
+    /// One step. `None` when inference fails or answers with numbers that are none; the memory is
+    /// then dropped.
+    pub(super) fn run(&mut self, features: &Builder<'_>, visible: [bool; 2]) -> Option<Answer> {
+        features.write(self.network.input(FEATURES));
+        let flags = visible.map(|seen| f32::from(u8::from(seen)));
+        self.network.input(VISIBLE).copy_from_slice(&flags);
+        self.network
+            .input(RESET)
+            .fill(f32::from(u8::from(self.reset)));
+        if self.reset {
+            for input in STATE {
+                self.network.input(input).fill(0.0);
+            }
+        }
+        let ran = self.network.run().is_ok();
+        let answer = ran.then(|| self.answer(features)).flatten();
+        self.reset = answer.is_none();
+        if !self.reset {
+            for port in STATE {
+                self.network.feed_back(port, port);
+            }
+        }
+        answer
+    }
+
+    fn answer(&self, features: &Builder<'_>) -> Option<Answer> {
+        let heading = Quat::from_rotation_y(features.yaw());
+        let mut rotations = [Quat::IDENTITY; JOINTS];
+        let matrices = self.network.output(ROTATION).chunks_exact(9);
+        for (rotation, numbers) in rotations.iter_mut().zip(matrices) {
+            // Row-major in the file, columns in memory.
+            let matrix = Mat3::from_cols_slice(numbers).transpose();
+            *rotation = Quat::from_mat3(&matrix).normalize();
+        }
+        rotations[0] = (heading * rotations[0]).normalize();
+        let root = Vec3::from_slice(self.network.output(ROOT)) * features.height();
+        let mut contact = [0.0; 4];
+        contact.copy_from_slice(self.network.output(CONTACT));
+        let sound = rotations.iter().all(|rotation| rotation.is_finite())
+            && root.is_finite()
+            && contact.iter().all(|number| number.is_finite());
+        sound.then_some(Answer {
+            rotations,
+            root_from_head: heading * root,
+            contact,
+        })
+    }
+}

@@ -1,0 +1,208 @@
+//! The network's answer moved to meet what was measured (HMD-NeMo §3.4): head and root exactly,
+//! then the arms.
+//!
+//! The paper minimises an energy over the upper body and the root with L-BFGS. Here the head's
+//! term is met in closed form by the root, the neck and the head joint, and each hand's by its arm:
+//! the elbow keeps the predicted swivel, and every bone turns the short way, so that predicted
+//! twists stay. The collar helps where the arm is too short. Legs and spine are left as they are.
+
+use glam::{Quat, Vec3};
+use posed_body::{BodyPose, JOINTS, Joint, Joints, Skeleton};
+
+use crate::{
+    fade::Place,
+    geometry::{Limb, direction},
+};
+
+/// Share of the head's correction that the neck takes.
+const NECK_SHARE: f32 = 0.5;
+/// The collar helps when the goal is farther than this share of the arm, by at most so much of its
+/// own length.
+const HELP_FROM: f32 = 0.97;
+const HELP_MAX: f32 = 0.35;
+/// Scale of Barron's general robust loss with shape -2, metres: residuals well above it pull less
+/// and less.
+const ROBUST_SCALE: f32 = 0.12;
+
+/// How hands are made to meet what was measured.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Energy {
+    /// Squared distances: hands are met exactly, as controllers deserve.
+    #[default]
+    Plain,
+    /// A robust loss (Barron 2019, as HMD-NeMo uses it for hand tracking): a measurement far from
+    /// the prediction is taken for an outlier and pulls less.
+    Robust,
+}
+
+impl Energy {
+    /// Share of the way to the measurement that a hand goes, for a residual in metres: the weight
+    /// of the loss's influence against that of a square.
+    pub(super) fn pull(self, residual: f32) -> f32 {
+        match self {
+            Self::Plain => 1.0,
+            Self::Robust => {
+                let scaled = residual / ROBUST_SCALE;
+                (scaled * scaled / 4.0 + 1.0).powi(-2)
+            }
+        }
+    }
+}
+
+/// A body pose under repair, with its joints in the world.
+pub(super) struct Draft<'a> {
+    skeleton: &'a Skeleton,
+    pose: BodyPose,
+    joints: Joints,
+}
+
+impl<'a> Draft<'a> {
+    /// Hangs the predicted rotations from the head.
+    pub(super) fn new(rotations: [Quat; JOINTS], head: &Place, skeleton: &'a Skeleton) -> Self {
+        let pose = BodyPose {
+            root: Vec3::ZERO,
+            rotations,
+        };
+        let mut draft = Self {
+            skeleton,
+            joints: skeleton.forward(&pose),
+            pose,
+        };
+        draft.hang(head.position);
+        draft
+    }
+
+    /// The pose as it now is.
+    pub(super) fn pose(&self) -> &BodyPose {
+        &self.pose
+    }
+
+    /// The wrist as it now is.
+    pub(super) fn wrist(&self, side: usize) -> Place {
+        let joint = Joint::LeftWrist as usize + side;
+        Place {
+            position: self.joints.positions[joint],
+            rotation: self.joints.rotations[joint],
+        }
+    }
+
+    /// The shoulder with the chest's rotation.
+    pub(super) fn shoulder(&self, side: usize) -> Place {
+        Place {
+            position: self.joints.positions[Joint::LeftShoulder as usize + side],
+            rotation: self.joints.rotation(Joint::Spine3),
+        }
+    }
+
+    /// Gives the head the measured rotation.
+    pub(super) fn meet_head(&mut self, head: &Place) {
+        let neck = self.joints.rotation(Joint::Neck);
+        let shown = self.joints.rotation(Joint::Head);
+        let turn = (head.rotation * shown.inverse()).normalize();
+        let neck = Quat::IDENTITY.slerp(turn, NECK_SHARE) * neck;
+        self.set(Joint::Neck as usize, neck);
+        self.set(Joint::Head as usize, head.rotation);
+        self.hang(head.position);
+    }
+
+    /// Brings a wrist to `goal`, or as near as the arm reaches.
+    pub(super) fn meet_hand(&mut self, side: usize, goal: &Place, energy: Energy) {
+        let wrist = self.wrist(side);
+        let pull = energy.pull(wrist.position.distance(goal.position));
+        let goal = Place {
+            position: wrist.position.lerp(goal.position, pull),
+            rotation: wrist.rotation.slerp(goal.rotation, pull).normalize(),
+        };
+        self.reach_with_collar(side, goal.position);
+        self.reach_with_arm(side, goal.position);
+        self.set(Joint::LeftWrist as usize + side, goal.rotation);
+    }
+
+    fn reach_with_collar(&mut self, side: usize, goal: Vec3) {
+        let [collar, shoulder, elbow, wrist] = arm(side);
+        let at = |joint: usize| self.joints.positions[joint];
+        let length = at(elbow).distance(at(shoulder)) + at(wrist).distance(at(elbow));
+        let to_goal = goal - at(shoulder);
+        let lacking = to_goal.length() - HELP_FROM * length;
+        let bone = at(shoulder) - at(collar);
+        let most = HELP_MAX * bone.length();
+        if lacking <= 0.0 || most < 1e-4 {
+            return;
+        }
+        let help = most * (1.0 - (-lacking / most).exp());
+        let moved = bone + direction(to_goal, Vec3::NEG_Y) * help;
+        let turn = short_way(bone, moved);
+        self.set(collar, turn * self.joints.rotations[collar]);
+        self.refresh();
+    }
+
+    fn reach_with_arm(&mut self, side: usize, goal: Vec3) {
+        let [_, shoulder, elbow, wrist] = arm(side);
+        let at = |joint: usize| self.joints.positions[joint];
+        let (root, bend, end) = (at(shoulder), at(elbow), at(wrist));
+        let (upper, lower) = (bend - root, end - bend);
+        // The elbow's side of the arm: as predicted, by the hinge's axis while the arm is straight.
+        let sign = if side == 0 { -1.0 } else { 1.0 };
+        let hinge = self.joints.rotations[shoulder] * Vec3::new(0.0, sign, 0.0);
+        let straight = direction(end - root, upper);
+        let by_hinge = straight.cross(hinge) * (0.05 * upper.length());
+        let pole = upper - straight * upper.dot(straight) + by_hinge;
+        let limb = Limb {
+            upper,
+            lower,
+            hinge,
+        };
+        let (new_upper, new_lower) = limb.bones_to(root, goal, pole);
+        let shoulder_turn = short_way(upper, new_upper);
+        self.set(shoulder, shoulder_turn * self.joints.rotations[shoulder]);
+        let elbow_turn = short_way(lower, new_lower);
+        self.set(elbow, elbow_turn * self.joints.rotations[elbow]);
+        self.refresh();
+    }
+
+    /// Gives a joint a rotation to the world; its children keep theirs.
+    fn set(&mut self, joint: usize, rotation: Quat) {
+        let rotation = rotation.normalize();
+        for child in Joint::ALL {
+            if child
+                .parent()
+                .is_some_and(|parent| parent as usize == joint)
+            {
+                let own = self.joints.rotations[child as usize];
+                self.pose.rotations[child as usize] = (rotation.inverse() * own).normalize();
+            }
+        }
+        let parent = Joint::ALL[joint].parent();
+        let base = parent.map_or(Quat::IDENTITY, |parent| self.joints.rotation(parent));
+        self.joints.rotations[joint] = rotation;
+        self.pose.rotations[joint] = (base.inverse() * rotation).normalize();
+    }
+
+    fn refresh(&mut self) {
+        self.joints = self.skeleton.forward(&self.pose);
+    }
+
+    /// Moves the root so that the head joint is at `head`.
+    fn hang(&mut self, head: Vec3) {
+        self.refresh();
+        self.pose.root += head - self.joints.position(Joint::Head);
+        self.refresh();
+    }
+}
+
+/// Collar, shoulder, elbow and wrist of a side.
+fn arm(side: usize) -> [usize; 4] {
+    [
+        Joint::LeftCollar,
+        Joint::LeftShoulder,
+        Joint::LeftElbow,
+        Joint::LeftWrist,
+    ]
+    .map(|joint| joint as usize + side)
+}
+
+/// The least rotation that turns one direction into another.
+fn short_way(from: Vec3, to: Vec3) -> Quat {
+    let from = direction(from, Vec3::X);
+    Quat::from_rotation_arc(from, direction(to, from))
+}

@@ -1,0 +1,109 @@
+//! The physics optimiser as a tracker's last stage: whatever the tracker says is made to obey the
+//! equation of motion over the floor (PIP, Yi et al. 2022, section 3.2).
+
+use posed_body::{
+    optimiser::{Optimiser, Reference, Settings, Solved},
+    scene::Ground,
+};
+
+use crate::tracker::{Input, Tracked, Tracker, TrackerKind, Wearer};
+
+/// Body mass index of the wearer whose mass is not known, kg/m²: 72 kg at 1.75 m.
+const MASS_INDEX: f64 = 23.5;
+
+/// A tracker, and physics behind it. Ticks have to come at the rate it was made for.
+pub struct Physical {
+    inner: Box<dyn Tracker>,
+    optimiser: Optimiser,
+    ground: Ground,
+    last: Option<Solved>,
+}
+
+impl Physical {
+    /// Puts physics behind `inner`, for this wearer, at `rate_hz` ticks a second on flat ground.
+    #[must_use]
+    pub fn new(inner: Box<dyn Tracker>, wearer: &Wearer, rate_hz: f64) -> Self {
+        let mass = MASS_INDEX * f64::from(wearer.height).powi(2);
+        let settings = Settings::default();
+        Self {
+            inner,
+            optimiser: Optimiser::new(&wearer.skeleton, mass, 1.0 / rate_hz, settings),
+            ground: Ground::Flat,
+            last: None,
+        }
+    }
+
+    /// Forces and torques of the last tick.
+    #[must_use]
+    pub fn solved(&self) -> Option<&Solved> {
+        self.last.as_ref()
+    }
+}
+
+impl Tracker for Physical {
+    fn kind(&self) -> TrackerKind {
+        self.inner.kind()
+    }
+
+    fn reset(&mut self) {
+        self.inner.reset();
+        self.optimiser.reset();
+        self.last = None;
+    }
+
+    fn track(&mut self, input: &Input<'_>) -> Tracked {
+        let tracked = self.inner.track(input);
+        let reference = Reference {
+            pose: &tracked.pose,
+            velocities: None,
+            contacts: None,
+        };
+        let solved = self.optimiser.step(&reference, &self.ground);
+        self.last = Some(solved);
+        Tracked {
+            pose: solved.pose,
+            ..tracked
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::Vec3;
+    use posed_signal::{HostTime, Lookup, Pose, PoseHow, Role};
+
+    use super::*;
+    use crate::Ik;
+
+    #[test]
+    fn somebody_who_stands_weighs_on_the_floor() {
+        let wearer = Wearer::of_height(1.75);
+        let mut tracker = Physical::new(Box::new(Ik::default()), &wearer, 60.0);
+        let mut parts = [Lookup::Empty; Role::COUNT];
+        let mut weight = 0.0;
+        for tick in 0..240u64 {
+            let at = HostTime(1_000_000_000 + tick * 16_666_667);
+            let head = Pose {
+                position: Vec3::new(0.0, wearer.skeleton.head_height() + 0.02, 0.0),
+                how: PoseHow::Optical,
+                ..Pose::unknown(at)
+            };
+            parts[Role::Head as usize] = Lookup::Exact(head);
+            let input = Input {
+                target: at,
+                parts: &parts,
+                wearer: &wearer,
+            };
+            assert!(tracker.track(&input).pose.is_sound());
+            if tick >= 120 {
+                weight += f64::from(tracker.solved().expect("a tick was done").ground_force.y);
+            }
+        }
+        let mean = weight / 120.0;
+        let expected = MASS_INDEX * 1.75 * 1.75 * 9.81;
+        assert!(
+            (mean / expected - 1.0).abs() < 0.02,
+            "{mean} N, not {expected} N"
+        );
+    }
+}

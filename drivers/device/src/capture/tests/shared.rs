@@ -7,9 +7,10 @@ use std::{
 };
 
 use super::{
-    super::{Warning, open},
-    split,
+    super::{HidRecorderWriter, UsbmonOptions, UsbmonWriter, Warning, open},
+    read, split,
 };
+use crate::usb::Packet;
 
 /// What a capture holds: its path, records, duration in seconds (where the list has it), and
 /// whether it is torn.
@@ -199,5 +200,41 @@ fn every_shared_capture_is_read() {
             let span = last.since_secs(first);
             assert!((span - seconds).abs() < 0.06, "{prefix}: {span} s");
         }
+    }
+}
+
+#[test]
+fn a_real_capture_is_the_same_when_written_again() {
+    let Some(captures) = captures() else {
+        println!("SKIPPED (needs shared data): a_real_capture_is_the_same_when_written_again");
+        return;
+    };
+    let path = file(&captures, "lighthouse/wand-wired-all-buttons.pcap.gz");
+    let (packets, _) = split(&mut open(File::open(path).unwrap()).unwrap());
+    for (gzip, submissions) in [(false, false), (true, true)] {
+        let options = UsbmonOptions { gzip, submissions };
+        let mut writer = UsbmonWriter::new(Vec::new(), options).unwrap();
+        packets
+            .iter()
+            .for_each(|packet| writer.packet(packet).unwrap());
+        assert!(read(&writer.finish().unwrap()) == (packets.clone(), Vec::new()));
+    }
+    let mut writer = HidRecorderWriter::new(Vec::new());
+    packets
+        .iter()
+        .for_each(|packet| writer.packet(packet).unwrap());
+    let (again, warnings) = read(&writer.finish().unwrap());
+    assert_eq!((again.len(), warnings.len()), (packets.len(), 0));
+    for (again, packet) in again.iter().zip(&packets) {
+        // The text counts its time from the first packet.
+        let at = posed_signal::HostTime(packet.at.0 - packets[0].at.0);
+        assert!(
+            *again
+                == Packet {
+                    at,
+                    ..packet.clone()
+                },
+            "{again:?}"
+        );
     }
 }

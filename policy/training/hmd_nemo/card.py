@@ -47,7 +47,8 @@ exact layout of inputs, outputs and state.
 - Golden vectors: `{name}.golden.json` (procedural motion, no recorded data)
 - Licence of the weights: {facts['licence']}.
 - Training: {training['steps']} steps, {training['hours']:.2f} h on two shared CPU cores,
-  `python -m hmd_nemo.train --mocap DIR --out RUN {flags}`, then `python -m hmd_nemo.export`.
+  last part: `python -m hmd_nemo.train --mocap DIR --out RUN {flags}`, then
+  `python -m hmd_nemo.export`. Where the run had several parts, `{name}.history.md` tells them.
 
 ## Training data
 
@@ -67,6 +68,6 @@ random loss.
 ## Limits
 
 Trained on few people and mostly on walking, gestures and idling. Lying, crawling and acrobatics
-are outside. The head's neutral orientation differs between data sets by up to 25 degrees; the
+are outside. The median pitch of the head joint differs between the sets (-6 to +23 degrees); the
 training disturbs it on purpose, a live headset still needs its fixed turn to the skull.
 """

@@ -219,6 +219,9 @@ pub struct EvalArgs {
     /// Whose bones the tracker is told: the clip's own, or average ones of the height.
     #[arg(long, default_value = "clip", value_parser = parse_bones)]
     pub bones: posed_tracker::eval::Bones,
+    /// Let the physics optimiser have the last word.
+    #[arg(long)]
+    pub physics: bool,
     /// Ticks by which the answer may lag the newest sample.
     #[arg(long, value_name = "N", default_value_t = 0)]
     pub lookahead: u32,

@@ -1,6 +1,9 @@
 //! The `posed` program.
 
-use std::{io, process::ExitCode};
+use std::{
+    io::{self, IsTerminal as _},
+    process::ExitCode,
+};
 
 use clap::{CommandFactory as _, Parser as _};
 use posed::{
@@ -61,6 +64,7 @@ fn start_log(filter: Option<&str>) -> Result<(), String> {
         .with_env_filter(filter)
         .with_writer(io::stderr)
         .with_target(false)
+        .with_ansi(io::stderr().is_terminal())
         .init();
     Ok(())
 }

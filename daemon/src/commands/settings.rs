@@ -4,12 +4,14 @@ use std::{fs, path::Path};
 
 use posed_device::{catalog, lighthouse, rig};
 use posed_signal::Serial;
+use posed_tracker::{Tracker, TrackerKind};
 
 use super::CommandError;
 use crate::{
     assemble::Options,
     cli::BodyArgs,
     config::{self, Config},
+    models::Models,
 };
 
 /// Reads the configuration's files; the command line wins over them.
@@ -57,6 +59,7 @@ pub fn options(config: &Config) -> Result<Options, CommandError> {
         lighthouse: lighthouse::Settings { base_stations },
     };
     Ok(Options {
+        trackers: trackers(config.tracker.name),
         rig: rig::Settings {
             devices,
             roles: roles.collect(),
@@ -73,4 +76,29 @@ fn base_stations(path: &Path) -> Result<Vec<lighthouse::base_station::BaseStatio
     let text = fs::read_to_string(path).map_err(|error| CommandError::file(path, error))?;
     lighthouse::base_station::parse_libsurvive(&text)
         .map_err(|error| CommandError::Input(format!("{}: {error}", path.display())))
+}
+
+/// The tracker asked for, unless it is `ik`, which is always there. One that cannot be had is no
+/// reason to do without a body: a warning says so, and `ik` stands in.
+pub(super) fn trackers(kind: TrackerKind) -> Vec<Box<dyn Tracker>> {
+    if kind == TrackerKind::Ik {
+        return Vec::new();
+    }
+    match Models::load().and_then(|models| models.tracker(kind)) {
+        Ok(Some(tracker)) => vec![tracker],
+        Ok(None) => {
+            tracing::warn!(
+                "this build has no model for the tracker {}: ik stands in",
+                kind.name()
+            );
+            Vec::new()
+        }
+        Err(error) => {
+            tracing::warn!(
+                "the tracker {} cannot be used, ik stands in: {error}",
+                kind.name()
+            );
+            Vec::new()
+        }
+    }
 }

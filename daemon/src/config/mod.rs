@@ -106,7 +106,7 @@ impl Default for Wearer {
 impl Default for Tracker {
     fn default() -> Self {
         Self {
-            name: TrackerKind::Ik,
+            name: TrackerKind::HmdNemo,
             rate_hz: 90.0,
             prediction_ms: 0.0,
         }

@@ -15,9 +15,9 @@ use posed_device::{
     transport::{Merge, Recording, Replay},
 };
 use posed_signal::{Clock as _, DeviceId, HostTime, Sample};
-use posed_tracker::Wearer;
+use posed_tracker::{TrackerKind, Wearer};
 
-use super::{CommandError, Tally, live, replay::Broadcast};
+use super::{CommandError, Tally, live, replay::Broadcast, settings};
 use crate::{
     assemble::{Assembly, Options, assemble},
     cli::DemoArgs,
@@ -39,6 +39,8 @@ pub static CAPTURE: &[u8] = include_bytes!("../../../assets/demo.pcap.gz");
 pub static BASE_STATIONS: &str = include_str!("../../../assets/demo-base-stations.json");
 /// Height of the simulated wearer, metres.
 pub const HEIGHT: f32 = 1.75;
+/// What works out the body, if it can be had.
+const TRACKER: TrackerKind = TrackerKind::HmdNemo;
 /// Poses a second.
 pub const RATE_HZ: f64 = 90.0;
 
@@ -57,7 +59,7 @@ pub fn replay() -> Result<Replay, CommandError> {
     Ok(Replay::new(vec![recording], Merge::OneSession))
 }
 
-/// What tracks the embedded capture.
+/// What tracks the embedded capture, with the tracker that needs no model.
 ///
 /// # Errors
 /// The embedded base stations cannot be read.
@@ -95,7 +97,14 @@ pub fn run(args: &DemoArgs) -> Result<(), CommandError> {
         mut source,
         mut tracker,
         requests: _requests,
-    } = assemble(Box::new(replay()?), options()?);
+    } = assemble(
+        Box::new(replay()?),
+        Options {
+            trackers: settings::trackers(TRACKER),
+            tracker: TRACKER,
+            ..options()?
+        },
+    );
     let mut served = Served {
         broadcast: Broadcast::new(1.0, sink, serving.devices()),
         tally: Tally::default(),

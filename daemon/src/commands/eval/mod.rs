@@ -17,14 +17,14 @@ use std::{
 use indicatif::{ProgressBar, ProgressStyle};
 use posed_body::motion::MotionSet;
 use posed_tracker::{
-    Ik, Tracker, TrackerKind,
+    Ik, Physical, Tracker, TrackerKind,
     eval::{ClipResult, Options, Report, Row, evaluate},
     metrics::Metric,
 };
 use serde_json::json;
 
 use super::CommandError;
-use crate::cli::EvalArgs;
+use crate::{cli::EvalArgs, models::Models};
 
 /// One clip of one set.
 #[derive(Debug, Clone, Copy)]
@@ -60,6 +60,7 @@ pub fn run(args: &EvalArgs) -> Result<(), CommandError> {
             "tracker": args.tracker.name(),
             "sensors": args.sensors.name(),
             "bones": args.bones.name(),
+            "physics": args.physics,
             "lookahead": args.lookahead,
             "rate_hz": args.rate,
             "report": report,
@@ -78,14 +79,33 @@ pub fn run(args: &EvalArgs) -> Result<(), CommandError> {
     Ok(())
 }
 
-/// The tracker of a kind, fresh.
-fn tracker(kind: TrackerKind) -> Result<Box<dyn Tracker>, CommandError> {
-    match kind {
-        TrackerKind::Ik => Ok(Box::new(Ik::default())),
-        other => Err(CommandError::Input(format!(
-            "this build has no model for the tracker {}; ik needs none",
-            other.name()
-        ))),
+/// Where trackers come from.
+struct Source {
+    kind: TrackerKind,
+    models: Option<Models>,
+}
+
+impl Source {
+    fn new(kind: TrackerKind) -> Result<Self, CommandError> {
+        let models = match kind {
+            TrackerKind::Ik => None,
+            _ => Some(Models::load().map_err(|error| CommandError::Input(error.to_string()))?),
+        };
+        Ok(Self { kind, models })
+    }
+
+    /// A fresh tracker.
+    fn tracker(&self) -> Result<Box<dyn Tracker>, CommandError> {
+        let Some(models) = &self.models else {
+            return Ok(Box::new(Ik::default()));
+        };
+        let found = models
+            .tracker(self.kind)
+            .map_err(|error| CommandError::Input(error.to_string()))?;
+        found.ok_or_else(|| {
+            let name = self.kind.name();
+            CommandError::Input(format!("this build has no model for the tracker {name}"))
+        })
     }
 }
 
@@ -127,7 +147,8 @@ fn evaluate_all(
     options: &Options,
     args: &EvalArgs,
 ) -> Result<Vec<ClipResult>, CommandError> {
-    tracker(args.tracker)?;
+    let source = Source::new(args.tracker)?;
+    source.tracker()?;
     let cores = thread::available_parallelism().map_or(1, std::num::NonZero::get);
     let threads = args.threads.unwrap_or(cores).clamp(1, jobs.len());
     let progress = ProgressBar::new(jobs.len() as u64);
@@ -141,7 +162,7 @@ fn evaluate_all(
         for _ in 0..threads {
             scope.spawn(|| {
                 while let Some(index) = claim(&next, jobs.len()) {
-                    let result = one(sets, jobs[index], options, args.tracker);
+                    let result = one(sets, jobs[index], options, &source, args);
                     progress.inc(1);
                     if let Ok(mut done) = done.lock() {
                         done[index] = Some(result);
@@ -167,13 +188,22 @@ fn one(
     sets: &[MotionSet],
     job: Job,
     options: &Options,
-    kind: TrackerKind,
+    source: &Source,
+    args: &EvalArgs,
 ) -> Result<ClipResult, CommandError> {
     let clip = sets[job.set].clip(job.clip).map_err(|error| {
         let name = &sets[job.set].entries()[job.clip].name;
         CommandError::Input(format!("clip {name}: {error}"))
     })?;
-    Ok(evaluate(&clip, &mut *tracker(kind)?, options))
+    let mut tracker = source.tracker()?;
+    if args.physics {
+        tracker = Box::new(Physical::new(
+            tracker,
+            &options.bones.wearer(&clip),
+            args.rate,
+        ));
+    }
+    Ok(evaluate(&clip, &mut *tracker, options))
 }
 
 /// A table: the classes, then everything.

@@ -1,0 +1,57 @@
+//! The trained models that are built in, and the ONNX Runtime that runs them.
+
+use std::{env, path::PathBuf};
+
+use posed_tracker::{
+    HmdNemo, Tracker, TrackerKind, hmd_nemo,
+    inference::{InferenceError, Runtime},
+};
+
+/// HMD-NeMo; its card lies beside it.
+static HMD_NEMO: &[u8] = include_bytes!("../../policy/models/hmd_nemo_small.onnx");
+/// The library's file name, of the version that posed is built against.
+const LIBRARY: &str = "libonnxruntime.so.1.31.1";
+
+/// The models, with the runtime loaded once for the process.
+#[derive(Debug, Clone)]
+pub struct Models {
+    runtime: Runtime,
+}
+
+impl Models {
+    /// Loads ONNX Runtime: the file that `ORT_DYLIB_PATH` names, else the one installed with
+    /// posed (`../lib/posed` beside the program's folder), else the system's.
+    ///
+    /// # Errors
+    /// There is none, or it is too old; or this process has loaded one before.
+    pub fn load() -> Result<Self, InferenceError> {
+        Runtime::load(&library()).map(|runtime| Self { runtime })
+    }
+
+    /// A fresh tracker of a kind that needs a model; `None` for one that has no model here.
+    ///
+    /// # Errors
+    /// The model does not fit this program.
+    pub fn tracker(&self, kind: TrackerKind) -> Result<Option<Box<dyn Tracker>>, InferenceError> {
+        if kind != TrackerKind::HmdNemo {
+            return Ok(None);
+        }
+        let options = hmd_nemo::Options::default();
+        let tracker = HmdNemo::load(&self.runtime, "hmd_nemo_small.onnx", HMD_NEMO, options)?;
+        Ok(Some(Box::new(tracker)))
+    }
+}
+
+fn library() -> PathBuf {
+    if let Some(path) = env::var_os("ORT_DYLIB_PATH") {
+        return path.into();
+    }
+    let program = env::current_exe().unwrap_or_default();
+    let installed = program
+        .parent()
+        .and_then(|bin| bin.parent())
+        .map(|prefix| prefix.join("lib/posed").join(LIBRARY));
+    installed
+        .filter(|path| path.exists())
+        .unwrap_or_else(|| LIBRARY.into())
+}

@@ -8,5 +8,6 @@ pub mod jsonl;
 pub mod motion;
 pub mod names;
 pub mod osc;
+pub mod start;
 pub mod vmc;
 pub mod vrchat;

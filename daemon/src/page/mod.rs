@@ -20,10 +20,15 @@ use axum::{
     response::{IntoResponse, Response},
     routing::{get, post},
 };
+use posed_device::lighthouse::base_station::BaseStation;
 use posed_tracker::TrackerKind;
-use tokio::sync::{Semaphore, watch};
+use tokio::{
+    runtime::Handle,
+    sync::{Semaphore, watch},
+};
 
 use crate::{
+    config,
     grpc::Services,
     pipeline::{live::Shared, tracking::Request},
 };
@@ -41,6 +46,26 @@ pub struct Station {
     pub position: [f32; 3],
     /// Its frame (looks along -Z) to the world.
     pub rotation: [f32; 4],
+}
+
+impl From<&BaseStation> for Station {
+    fn from(station: &BaseStation) -> Self {
+        Self {
+            position: station.position.as_vec3().to_array(),
+            rotation: station.rotation.as_quat().to_array(),
+        }
+    }
+}
+
+/// Why there is no page.
+#[derive(Debug, thiserror::Error)]
+pub enum PageError {
+    /// Its address cannot be used.
+    #[error("the live page cannot be served: {0}; give another address as page.listen, or \"off\"")]
+    Listen(String),
+    /// The configuration lets in too many.
+    #[error("the live page needs {0}")]
+    Access(String),
 }
 
 /// What the page shows, and what it can do.
@@ -73,6 +98,33 @@ struct Shelf {
     page: Arc<Page>,
     watchers: Arc<Semaphore>,
     stop: watch::Receiver<()>,
+}
+
+/// Serves the page where the configuration says, until the last pose was published. Answers the
+/// page's address, for people; `None` where the page is off.
+///
+/// # Errors
+/// The address is taken or not this machine's, or others could come in without a token.
+pub fn start(
+    runtime: &Handle,
+    config: &config::Page,
+    page: Page,
+) -> Result<Option<String>, PageError> {
+    let Some(address) = config.listen else {
+        return Ok(None);
+    };
+    let access = config.access().map_err(PageError::Access)?;
+    let fail = |error: io::Error| PageError::Listen(format!("{address}: {error}"));
+    let listener = TcpListener::bind(address).map_err(fail)?;
+    let url = format!("http://{}/", listener.local_addr().map_err(fail)?);
+    let mut changes = page.services.hub.changes();
+    let ended = async move { while changes.changed().await.is_ok() {} };
+    runtime.spawn(async move {
+        if let Err(error) = serve(page, access, listener, ended).await {
+            tracing::error!(%error, "the live page ended");
+        }
+    });
+    Ok(Some(url))
 }
 
 /// Serves the page until `shutdown`; then says good-bye to the browsers and returns.

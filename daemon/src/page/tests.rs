@@ -172,6 +172,64 @@ fn status(answer: &str) -> u16 {
     answer.split(' ').nth(1).unwrap().parse().unwrap()
 }
 
+#[tokio::test(flavor = "multi_thread")]
+async fn the_configuration_says_where_and_whether() {
+    let page = || {
+        let (sink, hub) = Hub::new().unwrap();
+        let services = Services {
+            hub,
+            devices: watch::channel(Vec::new()).1,
+            wearer: watch::channel(Wearer::of_height(1.75)).1,
+            clock: Arc::new(HostTime(0)),
+        };
+        let (trackers, stations) = (Vec::new(), Vec::new());
+        let request = Arc::new(|_: Request| false);
+        (
+            sink,
+            Page {
+                services,
+                ticks: None,
+                rate_hz: 90.0,
+                trackers,
+                stations,
+                request,
+            },
+        )
+    };
+    let start = |listen: Option<SocketAddr>, page| {
+        start(
+            &Handle::current(),
+            &config::Page {
+                listen,
+                token: String::new(),
+            },
+            page,
+        )
+    };
+    assert_eq!(start(None, page().1).unwrap(), None);
+    let (sink, served) = page();
+    let url = start(Some("127.0.0.1:0".parse().unwrap()), served)
+        .unwrap()
+        .unwrap();
+    let addr: SocketAddr = url["http://".len()..]
+        .trim_end_matches('/')
+        .parse()
+        .unwrap();
+    assert!(TcpStream::connect(addr).await.is_ok(), "{url}");
+    let taken = start(Some(addr), page().1).unwrap_err().to_string();
+    assert!(
+        taken.contains(&addr.to_string()) && taken.contains("page.listen"),
+        "{taken}"
+    );
+    let wide = start(Some("0.0.0.0:0".parse().unwrap()), page().1)
+        .unwrap_err()
+        .to_string();
+    assert!(wide.contains("token"), "{wide}");
+    drop(sink);
+    let gone = async { while TcpStream::connect(addr).await.is_ok() {} };
+    time::timeout(PATIENCE, gone).await.unwrap();
+}
+
 #[tokio::test]
 async fn the_page_is_whole_and_asks_for_nothing_from_outside() {
     let served = Served::new(Access::local());

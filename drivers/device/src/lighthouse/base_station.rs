@@ -47,6 +47,12 @@ pub enum BaseStationError {
         /// What is wrong with it.
         what: &'static str,
     },
+    /// Two entries have one channel.
+    #[error(
+        "base-station file: two base stations are set to channel {0}; set one of them to another \
+         channel, or take its entry out if it is gone"
+    )]
+    SharedChannel(u8),
     /// No entry describes a base station whose position is known.
     #[error(
         "base-station file: no entry has its position and calibration set; \
@@ -82,6 +88,12 @@ pub fn parse_libsurvive(text: &str) -> Result<Vec<BaseStation>, BaseStationError
         return Err(BaseStationError::Empty);
     }
     stations.sort_by_key(|station: &BaseStation| station.channel);
+    if let Some(pair) = stations
+        .windows(2)
+        .find(|pair| pair[0].channel == pair[1].channel)
+    {
+        return Err(BaseStationError::SharedChannel(pair[0].channel));
+    }
     Ok(stations)
 }
 
@@ -356,6 +368,13 @@ mod tests {
         assert!(
             matches!(error, BaseStationError::Syntax { line: 2, .. }),
             "{error}"
+        );
+        let (_, first) = LOOSE.split_once("\"lighthouse0\"").unwrap();
+        let (first, _) = first.split_once("\"lighthouse1\"").unwrap();
+        let twice = format!("\"lighthouse0\"{first}\"lighthouse1\"{first}");
+        assert_eq!(
+            parse_libsurvive(&twice),
+            Err(BaseStationError::SharedChannel(6))
         );
         assert_eq!(parse_libsurvive(""), Err(BaseStationError::Empty));
         let nan = LOOSE.replace("\"2.0\"", "\"nan\"");

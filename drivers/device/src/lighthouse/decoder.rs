@@ -189,7 +189,8 @@ impl Device {
         let stations = &self.settings.base_stations;
         let station = stations
             .iter()
-            .position(|station| station.channel == channel);
+            .position(|station| station.channel == channel)
+            .and_then(|index| u8::try_from(index).ok());
         let rotor = self.rotors.get(usize::from(channel));
         let (Some(unit), Some(station), Some(rotor)) = (&mut self.unit, station, rotor) else {
             return;
@@ -197,7 +198,7 @@ impl Device {
         if let Some(reading) = rotor.reading(ticks) {
             unit.track.sighting(Sighting {
                 time: ticks / TICKS_PER_SECOND,
-                station: station as u8,
+                station,
                 plane: reading.plane,
                 sensor,
                 angle: reading.angle,

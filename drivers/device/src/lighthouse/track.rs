@@ -56,21 +56,6 @@ pub(super) struct Output {
     pub(super) how: PoseHow,
 }
 
-/// What was counted.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct TrackCounters {
-    /// Sweeps that the filter used.
-    pub accepted: u64,
-    /// Sweeps that did not fit.
-    pub rejected: u64,
-    /// Sweeps that came too late.
-    pub late: u64,
-    /// Searches for the pose, and how many of them found it.
-    pub searches: u64,
-    /// Searches that found the pose.
-    pub found: u64,
-}
-
 struct Tracking {
     filter: Filter,
     /// Time of the newest accepted light.
@@ -92,7 +77,6 @@ pub(super) struct Track {
     tracking: Option<Tracking>,
     /// No search before this time.
     search_after: f64,
-    pub(super) counters: TrackCounters,
 }
 
 impl Track {
@@ -105,7 +89,6 @@ impl Track {
             waiting: VecDeque::with_capacity(SIGHTINGS_MAX),
             tracking: None,
             search_after: f64::NEG_INFINITY,
-            counters: TrackCounters::default(),
         }
     }
 
@@ -246,7 +229,6 @@ impl Track {
             return;
         };
         if seen.time < tracking.filter.time - LATE {
-            self.counters.late += 1;
             return;
         }
         if seen.time - tracking.light > BRIDGE {
@@ -255,13 +237,11 @@ impl Track {
         advance(&mut tracking.filter, &self.samples, seen.time);
         match tracking.filter.sweep(&self.stations, &self.model, seen) {
             Verdict::Accepted(residual, weight) => {
-                self.counters.accepted += 1;
                 tracking.light = tracking.light.max(seen.time);
                 tracking.square += RUNNING * weight * (residual * residual - tracking.square);
                 tracking.fitting += RUNNING * (1.0 - tracking.fitting);
             }
             Verdict::Rejected => {
-                self.counters.rejected += 1;
                 tracking.fitting -= RUNNING * tracking.fitting;
             }
             Verdict::Ignored => {}
@@ -313,7 +293,6 @@ impl Track {
             return;
         }
         self.search_after = now + SEARCH_INTERVAL;
-        self.counters.searches += 1;
         self.solve(newest);
     }
 
@@ -352,7 +331,6 @@ impl Track {
         let Some(solution) = problem.solve(guess) else {
             return;
         };
-        self.counters.found += 1;
         let filter = match self.tracking.take() {
             Some(mut tracking) => {
                 tracking.filter.restart(&solution, &imu);

@@ -40,6 +40,7 @@ pub struct Serving {
     stop: watch::Sender<bool>,
     devices: watch::Sender<Vec<DeviceState>>,
     wearer: watch::Sender<Wearer>,
+    services: Services,
     names: Vec<String>,
 }
 
@@ -71,11 +72,12 @@ impl Serving {
             .thread_name("grpc")
             .enable_all()
             .build()?;
+        let served = services.clone();
         let server = runtime.spawn(async move {
             let shutdown = async move {
                 let _ = stopped.wait_for(|stop| *stop).await;
             };
-            if let Err(error) = grpc::serve(services, listeners, shutdown).await {
+            if let Err(error) = grpc::serve(served, listeners, shutdown).await {
                 tracing::error!(%error, "the gRPC server ended");
             }
         });
@@ -87,6 +89,7 @@ impl Serving {
                 stop,
                 devices,
                 wearer,
+                services,
                 names,
             },
         ))
@@ -110,9 +113,16 @@ impl Serving {
         self.devices.clone()
     }
 
-    /// Tells clients of another wearer.
-    pub fn set_wearer(&self, wearer: Wearer) {
-        self.wearer.send_replace(wearer);
+    /// The way to tell clients of another wearer.
+    #[must_use]
+    pub fn wearer(&self) -> watch::Sender<Wearer> {
+        self.wearer.clone()
+    }
+
+    /// What is served, for other outputs.
+    #[must_use]
+    pub fn services(&self) -> &Services {
+        &self.services
     }
 
     /// Ends every stream, waits for `last`, and gives the sockets back.

@@ -36,6 +36,9 @@ pub enum CommandError {
     /// About the server.
     #[error(transparent)]
     Serving(#[from] crate::serving::ServingError),
+    /// About the live page.
+    #[error(transparent)]
+    Page(#[from] crate::page::PageError),
     /// About following.
     #[error(transparent)]
     Follow(#[from] crate::follow::FollowError),

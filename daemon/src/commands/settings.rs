@@ -68,7 +68,6 @@ pub fn options(config: &Config) -> Result<Options, CommandError> {
         tracker: config.tracker.name,
         height: config.wearer.height_m,
         horizon_ns: (config.tracker.prediction_ms * 1e6) as i64,
-        ..Options::default()
     })
 }
 

@@ -2,7 +2,7 @@
 
 use std::{
     fs,
-    io::{self, Write as _},
+    io::{self, BufRead, Write as _},
     path::{Path, PathBuf},
 };
 
@@ -11,7 +11,7 @@ use posed_body::{JOINTS, Skeleton};
 use super::{
     bvh::{self, Bvh, Unit},
     gltf::{self, GlbError},
-    motion::Frame,
+    motion::{Frame, PoseLines, PosesError},
     names::Names,
 };
 
@@ -74,6 +74,9 @@ pub enum ExportError {
     /// The motion.
     #[error(transparent)]
     Glb(#[from] GlbError),
+    /// The poses that the motion is made of.
+    #[error(transparent)]
+    Poses(#[from] PosesError),
 }
 
 /// What was written.
@@ -175,6 +178,18 @@ impl Export {
     }
 }
 
+/// Writes the poses of `lines`, as `--poses` wrote them, to `path`.
+///
+/// # Errors
+/// A line is no pose, or the file cannot be written.
+pub fn poses(lines: impl BufRead, path: &Path, options: Options) -> Result<Summary, ExportError> {
+    let mut export = Export::new(path, options);
+    for frame in PoseLines::new(lines) {
+        export.frame(&frame?)?;
+    }
+    export.finish()
+}
+
 fn is_same(one: &Skeleton, other: &Skeleton) -> bool {
     (0..JOINTS).all(|joint| one.offsets[joint].distance(other.offsets[joint]) < SAME_BONE)
 }
@@ -195,8 +210,10 @@ fn replace(path: &Path, bytes: &[u8]) -> io::Result<()> {
 
 #[cfg(test)]
 mod tests {
+    use posed_signal::{HostTime, time::SECOND_NS};
+
     use super::*;
-    use crate::output::motion::tests::frames;
+    use crate::{output::motion::tests::frames, published::tests::pose_at};
 
     fn options(format: Format) -> Options {
         Options {
@@ -249,6 +266,24 @@ mod tests {
             export.frame(frame).unwrap();
         }
         assert_eq!(export.finish().unwrap().other_wearer, 1);
+    }
+
+    #[test]
+    fn lines_of_poses_become_a_file() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("m.bvh");
+        let line = |sequence: u64| {
+            let at = HostTime(sequence * SECOND_NS / 90);
+            serde_json::to_string(&pose_at(sequence, at)).unwrap() + "\n"
+        };
+        let mut text: String = (1..=10).map(line).collect();
+        let written = poses(text.as_bytes(), &path, options(Format::Bvh)).unwrap();
+        assert_eq!(written.frames, 10);
+        text.insert(0, '?');
+        let error = poses(text.as_bytes(), &path, options(Format::Bvh))
+            .unwrap_err()
+            .to_string();
+        assert!(error.contains("line 1"), "{error}");
     }
 
     #[test]

@@ -22,7 +22,9 @@ use crate::{
     assemble::{Assembly, Options, assemble},
     cli::DemoArgs,
     clock::Monotonic,
-    config::{Grpc, Loopback, UnixSocket},
+    config::{self, Grpc, Loopback, UnixSocket},
+    control::Control,
+    page::{self, Page, Station},
     pipeline::{
         replay::{Watcher, replay as run_replay},
         source::Source,
@@ -93,18 +95,25 @@ pub fn run(args: &DemoArgs) -> Result<(), CommandError> {
     let devices = serving.devices().subscribe();
     let screen = Screen::follow(serving.runtime(), &socket, devices, terminal);
 
+    let options = Options {
+        trackers: settings::trackers(TRACKER),
+        tracker: TRACKER,
+        ..options()?
+    };
+    let stations = &options.rig.devices.lighthouse.base_stations;
+    let stations = stations.iter().map(Station::from).collect();
     let Assembly {
         mut source,
         mut tracker,
-        requests: _requests,
-    } = assemble(
-        Box::new(replay()?),
-        Options {
-            trackers: settings::trackers(TRACKER),
-            tracker: TRACKER,
-            ..options()?
-        },
-    );
+        requests,
+    } = assemble(Box::new(replay()?), options);
+    let control = Control::new(requests, serving.wearer());
+    match page(&serving, control, stations) {
+        Ok(Some(url)) => println!("the live page is at {url}"),
+        Ok(None) => {}
+        // Another posed may be running; the demo goes on without its page.
+        Err(error) => println!("{error}"),
+    }
     let mut served = Served {
         broadcast: Broadcast::new(1.0, sink, serving.devices()),
         tally: Tally::default(),
@@ -127,6 +136,22 @@ pub fn run(args: &DemoArgs) -> Result<(), CommandError> {
     let _ = std::fs::remove_dir(&folder);
     print!("{}{}", report.text(), summary);
     Ok(())
+}
+
+fn page(
+    serving: &Serving,
+    control: Control,
+    stations: Vec<Station>,
+) -> Result<Option<String>, page::PageError> {
+    let page = Page {
+        services: serving.services().clone(),
+        ticks: None,
+        rate_hz: RATE_HZ,
+        trackers: vec![TRACKER, TrackerKind::Ik],
+        stations,
+        request: Arc::new(move |request| control.request(request)),
+    };
+    page::start(serving.runtime().handle(), &config::Page::default(), page)
 }
 
 /// Serves a replay at real speed.

@@ -242,6 +242,4 @@ pub fn fuzz_entry(data: &[u8]) -> u64 {
 }
 
 #[cfg(test)]
-mod recordings;
-#[cfg(test)]
 mod tests;

@@ -222,6 +222,8 @@ fn the_fuzzers_corpus_is_read_to_an_end() {
         files.len()
     );
     for path in files {
-        fuzz_entry(&fs::read(path).unwrap());
+        let bytes = fs::read(path).unwrap();
+        fuzz_entry(&bytes);
+        crate::rig::fuzz_entry(&bytes);
     }
 }

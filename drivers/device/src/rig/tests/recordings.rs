@@ -3,7 +3,7 @@
 
 use std::{fs, path::Path};
 
-use super::*;
+use super::super::*;
 use crate::{
     capture::{
         identity::parse_usbdevs,

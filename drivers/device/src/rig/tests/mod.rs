@@ -1,3 +1,5 @@
+mod recordings;
+
 use glam::Vec3;
 use proptest::prelude::*;
 
@@ -145,13 +147,13 @@ fn a_replugged_serial_keeps_its_id() {
     bench.plug(1);
     bench.say(1, &[b'I', 0, 1, HEAD]);
     bench.plug(2);
-    // Samples before the configuration: a provisional id, given up when the serial is known.
     bench.say(2, &[b'I', 0, 2, LEFT]);
     let before = bench.rig.revision();
     bench.rig.detach(port(1));
     assert!(bench.rig.revision() > before);
     assert!(!bench.rig.devices()[0].connected);
     bench.plug(7);
+    // A sample before the configuration: a provisional id, given up when the serial is known.
     bench.say(7, b"S\0");
     assert_eq!(bench.rig.devices().len(), 3);
     bench.say(7, &[b'I', 0, 1, HEAD]);

@@ -38,12 +38,12 @@ pub(super) const POINTS_MAX: usize = 2 * FOOT_POINTS + SITES.len();
 
 /// A toe joint that moves slower than the first speed can be in contact, one faster than the
 /// second cannot; m/s.
-const SPEEDS: [f64; 2] = [0.15, 0.6];
+const SPEEDS: [f64; 2] = [0.25, 0.8];
 /// The same for its height above where it is when the foot stands, metres.
 const HEIGHTS: [f64; 2] = [0.015, 0.05];
 /// How fast a contact probability may rise, per second: a foot that stops for a moment on its
 /// way is not standing.
-const RISE: f64 = 12.0;
+const RISE: f64 = 40.0;
 /// Height of the toe joint above the sole never taken to be more than this, metres.
 const CLEARANCE_MAX: f64 = 0.12;
 
@@ -241,6 +241,6 @@ impl Feet {
 /// forces come and go without a jump. PIP's term (10 max(d, 0.005))² in one more degree.
 fn reluctance(height: f64, probability: f64) -> f64 {
     let high = (height.max(0.0) / 0.01).powi(4);
-    let loose = ((1.0 - probability) / 0.2).powi(4);
+    let loose = ((1.0 - probability) / 0.35).powi(4);
     0.01 * (1.0 + high + loose)
 }

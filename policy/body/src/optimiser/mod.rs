@@ -69,7 +69,7 @@ impl Default for Settings {
             position_shares[toe as usize] = 4.0;
         }
         Self {
-            stiffness: 0.3,
+            stiffness: 0.45,
             rotation: 1.0,
             position: 1.0,
             position_shares,
@@ -99,6 +99,8 @@ const JUMP: f64 = 0.5;
 /// A first pose deeper in the ground than this, metres, comes from a tracker that is wrong about
 /// the floor: all of its poses are lifted.
 const SUNK: f64 = 0.1;
+/// Joints other than the feet are kept out of the ground from this height on, metres.
+const NEAR: f64 = 0.15;
 /// Fastest way out of the ground, m/s.
 const RISE_MAX: f64 = 1.5;
 /// Least bound on the speed of a standing foot, m/s.
@@ -286,9 +288,16 @@ impl Optimiser {
                 self.add_floor(frames, joint as usize, ground);
             }
         }
-        let feet = 2 * contact::FOOT_POINTS;
-        for number in feet..POINTS_MAX.min((self.problem.unknowns() - VELOCITIES) / 3) {
-            self.add_floor(frames, self.points[number].joint, ground);
+        for joint in 0..JOINTS {
+            let place = frames.positions[joint];
+            let near = place.y - ground.at(place.x, place.z).height < NEAR;
+            if near
+                && FEET
+                    .iter()
+                    .all(|&(a, b)| joint != a as usize && joint != b as usize)
+            {
+                self.add_floor(frames, joint, ground);
+            }
         }
     }
 

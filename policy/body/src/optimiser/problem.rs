@@ -17,8 +17,9 @@ use crate::skeleton::{JOINTS, PARENTS};
 pub(super) const FORCE_UNIT: f64 = 100.0;
 /// Most unknowns.
 pub(super) const UNKNOWNS_MAX: usize = VELOCITIES + 3 * POINTS_MAX;
-/// Most constraint rows: friction pyramids and the velocities of feet and sites.
-pub(super) const ROWS_MAX: usize = 4 * POINTS_MAX + 2 * 7 + POINTS_MAX;
+/// Most constraint rows: friction pyramids, joints kept out of the ground, toe joints
+/// that stand.
+pub(super) const ROWS_MAX: usize = 4 * POINTS_MAX + JOINTS + 2 * 4;
 
 /// What the dual controller asks for.
 #[derive(Debug, Clone, Copy)]

@@ -443,7 +443,8 @@ mod tests {
         fn any_bytes_give_an_answer(data in prop::collection::vec(any::<u8>(), 0..80)) {
             let _ = light_report(&data);
             let _ = light_stream(0x28, &data, |light| {
-                let (Light::Sync { channel, time, .. } | Light::Sweep { channel, time, .. }) = light;
+                let (Light::Sync { channel, time, .. }
+                    | Light::Sweep { channel, time, .. }) = light;
                 assert!(channel < 16 && time < 1 << 25);
             });
             let _ = pulses(0x21, &data, |pulse| assert!(pulse.sensor <= 0xfd));

@@ -3,6 +3,7 @@
 use std::f32::consts::{PI, TAU};
 
 use glam::{Mat3, Quat, Vec3};
+use posed_body::{Joint, Skeleton};
 
 /// Heading of a rotation: its twist about +Y, radians. The swing-twist split stays smooth when
 /// the wearer looks straight down, where the forward axis has no heading.
@@ -43,6 +44,24 @@ pub(crate) fn min_jerk(fraction: f32) -> f32 {
 /// Share of the way to its target that an exponential filter of time constant `tau` goes in `dt`.
 pub(crate) fn gain(dt: f32, tau: f32) -> f32 {
     1.0 - (-dt / tau).exp()
+}
+
+/// Whether bones are those of somebody: finite, shorter than a person, arms and legs not nothing.
+pub(crate) fn is_human(skeleton: &Skeleton) -> bool {
+    let limbs = [
+        Joint::LeftKnee,
+        Joint::LeftAnkle,
+        Joint::LeftElbow,
+        Joint::LeftWrist,
+    ];
+    let long = |joint: Joint| {
+        let side = |side: usize| skeleton.offsets[joint as usize + side].length() > 0.02;
+        side(0) && side(1)
+    };
+    let short = |bone: &Vec3| bone.is_finite() && bone.abs().max_element() < 2.0;
+    skeleton.offsets.iter().all(short)
+        && limbs.into_iter().all(long)
+        && (0.3..4.0).contains(&skeleton.head_height())
 }
 
 /// Knees and elbows bend this far, radians.
@@ -89,7 +108,11 @@ impl Limb {
         let to_goal = goal - root;
         let along = direction(to_goal, Vec3::NEG_Y);
         let out = square_to(pole, along);
-        let distance = to_goal.length().clamp(self.shortest(), a + b - 1e-5);
+        let distance = to_goal
+            .length()
+            .max(self.shortest())
+            .min(a + b - 1e-5)
+            .max(1e-6);
         let cosine = (a * a + distance * distance - b * b) / (2.0 * a * distance);
         let cosine = cosine.clamp(-1.0, 1.0);
         let upper = (along * cosine + out * (1.0 - cosine * cosine).sqrt()) * a;

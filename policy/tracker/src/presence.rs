@@ -10,7 +10,7 @@ use crate::{
     tracker::Quality,
 };
 
-/// A returning hand or headset takes over in this time, seconds.
+/// A returning headset takes over in this time, seconds.
 const RETURN_S: f32 = 0.3;
 /// A lost head stays where it was this long, and then rises to standing, with this time constant.
 const HOLD_S: f32 = 1.0;
@@ -144,11 +144,13 @@ pub(crate) struct Hand {
     tracked: bool,
     started: bool,
     leave_s: f32,
+    return_s: f32,
 }
 
 impl Hand {
-    /// `leave_s`: a lost hand is where it is taken to be after this time, seconds.
-    pub(crate) const fn new(leave_s: f32) -> Self {
+    /// `leave_s`: a lost hand is where it is taken to be after this time, seconds; `return_s`: one
+    /// that returns is where it is measured.
+    pub(crate) const fn new(leave_s: f32, return_s: f32) -> Self {
         Self {
             shown: Place {
                 position: Vec3::ZERO,
@@ -158,6 +160,7 @@ impl Hand {
             tracked: false,
             started: false,
             leave_s,
+            return_s,
         }
     }
 
@@ -173,7 +176,7 @@ impl Hand {
         let source = sensed.map_or(*otherwise, |now| now.place.into_frame(base));
         let tracked = sensed.is_some();
         if self.started && tracked != self.tracked {
-            let span = if tracked { RETURN_S } else { self.leave_s };
+            let span = if tracked { self.return_s } else { self.leave_s };
             self.fade = Fade::start(&self.shown, &source, span);
         } else {
             self.fade.advance(dt);
@@ -256,7 +259,7 @@ mod tests {
     #[test]
     fn a_lost_hand_sinks_to_its_rest_and_returns_exactly() {
         let (mut hand, base) = (
-            Hand::new(0.9),
+            Hand::new(0.9, 0.3),
             Place {
                 position: Vec3::Y,
                 rotation: Quat::IDENTITY,

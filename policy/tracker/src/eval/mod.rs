@@ -10,7 +10,7 @@ mod report;
 mod sensors;
 
 use posed_body::{
-    BodyPose,
+    BodyPose, Joint,
     motion::{Clip, Trajectory},
 };
 use posed_signal::{History, HostTime, Imu, Lookup, Pose, PoseHow, Role, time::SECOND_NS};
@@ -268,6 +268,23 @@ pub fn error_curve(dump: &Dump) -> Vec<f64> {
         scores.get(Metric::MpjpeHead).unwrap_or(0.0)
     };
     (0..frames).map(one).collect()
+}
+
+/// A toe joint slower than this stands, m/s.
+const STANDS: f64 = 0.2;
+
+/// Which feet stand in each frame, left and right: for a plot of contacts against the truth's.
+#[must_use]
+pub fn contact_curve(track: &Track) -> Vec<[bool; 2]> {
+    let toes = [Joint::LeftFoot, Joint::RightFoot];
+    let stands = |frame: usize, toe: Joint| {
+        let at = |frame: usize| track.positions[frame][toe as usize];
+        let moved = f64::from(at(frame).distance(at(frame.saturating_sub(1))));
+        moved * track.fps < STANDS
+    };
+    (0..track.len())
+        .map(|frame| toes.map(|toe| stands(frame, toe)))
+        .collect()
 }
 
 #[cfg(test)]

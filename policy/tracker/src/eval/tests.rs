@@ -165,6 +165,11 @@ fn the_same_run_gives_the_same_numbers() {
         let mean = curve.iter().sum::<f64>() / curve.len() as f64;
         let whole = a.scores.get(Metric::MpjpeHead).unwrap();
         assert!((mean - whole).abs() < 1e-9 && whole > 0.1, "{mean} {whole}");
+        let standing = contact_curve(&dump.truth);
+        assert_eq!(standing.len(), 180);
+        let frames_down = standing.iter().filter(|feet| feet[0]).count();
+        // The whole body glides at 0.2 m/s and turns: the feet stand now and then only.
+        assert!((1..180).contains(&frames_down), "{frames_down}");
         let report = Report::of(&[a.clone(), b]);
         assert_eq!(
             (report.all.clips, report.classes.len(), report.clips.len()),

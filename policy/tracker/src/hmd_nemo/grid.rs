@@ -2,13 +2,13 @@
 //!
 //! The network was trained at 60 Hz. A tick that comes about 1/60 s after the last step makes one
 //! step at its own time, so that at 60 Hz nothing is delayed. At other rates steps are made on a
-//! 60 Hz grid with inputs interpolated between ticks, and the answer is carried on from the last
-//! two steps to the tick.
+//! 60 Hz grid with inputs interpolated between ticks, and the answers become one smooth motion
+//! that comes a step later.
 
-use posed_body::JOINTS;
 use posed_signal::HostTime;
 
 use super::{
+    carry::Carry,
     features::{Builder, Seen},
     network::{Answer, Step},
 };
@@ -27,8 +27,10 @@ pub(super) struct Grid {
     tick: Option<(HostTime, Seen)>,
     /// The last step, what was seen and what was answered.
     step: Option<(HostTime, Seen, Answer)>,
-    /// The step before.
-    earlier: Option<(HostTime, Answer)>,
+    /// The answer of the step before.
+    earlier: Option<Answer>,
+    /// The motion shown between steps, and when its curve began.
+    carry: Option<(HostTime, Carry)>,
 }
 
 impl Grid {
@@ -49,6 +51,7 @@ impl Grid {
             network.reset();
         }
         let last_tick = self.tick.replace((now, *seen)).unwrap_or((now, *seen));
+        let last_step = self.step.map(|(at, ..)| at);
         while let Some(at) = self.due(now) {
             let there = if at == now {
                 *seen
@@ -63,10 +66,36 @@ impl Grid {
                 *self = Self::default();
                 return None;
             };
-            self.earlier = self.step.map(|(at, _, answer)| (at, answer));
+            self.earlier = self.step.map(|(.., answer)| answer);
             self.step = Some((at, there, answer));
         }
-        self.answer(now)
+        // A tick between steps means that the motion has to be carried from here on.
+        let between_steps = last_step.is_some_and(|at| last_tick.0 > at)
+            || self.step.is_some_and(|(at, ..)| now > at);
+        if !between_steps {
+            self.carry = None;
+        } else if self.step.map(|(at, ..)| at) != last_step || self.carry.is_none() {
+            self.lead_over(now);
+        }
+        let (.., mut answer) = self.step?;
+        if let Some((since, carry)) = &self.carry {
+            answer.rotations = carry.at(steps_between(*since, now));
+        }
+        Some(answer)
+    }
+
+    /// Starts a new curve at `now` towards where the last two steps lead.
+    fn lead_over(&mut self, now: HostTime) {
+        let (Some((at, _, last)), Some(earlier)) = (self.step, self.earlier) else {
+            return;
+        };
+        let ahead = steps_between(at, now);
+        let shown = self
+            .carry
+            .as_ref()
+            .map(|(since, carry)| (carry, steps_between(*since, now)));
+        let carry = Carry::new(shown, &earlier.rotations, &last.rotations, ahead);
+        self.carry = Some((now, carry));
     }
 
     /// Forgets everything.
@@ -89,24 +118,10 @@ impl Grid {
             last.plus_ns(STEP_NS)
         })
     }
+}
 
-    /// The last step's answer carried on to `now`.
-    fn answer(&self, now: HostTime) -> Option<Answer> {
-        let (at, _, answer) = self.step?;
-        let ahead = now.since_ns(at);
-        let Some((before, earlier)) = self.earlier.filter(|_| ahead > 0) else {
-            return Some(answer);
-        };
-        let share = ahead as f32 / at.since_ns(before).max(1) as f32;
-        let mut carried = answer;
-        for joint in 0..JOINTS {
-            let (from, to) = (earlier.rotations[joint], answer.rotations[joint]);
-            let from = if from.dot(to) < 0.0 { -from } else { from };
-            carried.rotations[joint] = (to + (to - from) * share).normalize();
-        }
-        carried.root_from_head += (answer.root_from_head - earlier.root_from_head) * share;
-        Some(carried)
-    }
+fn steps_between(earlier: HostTime, later: HostTime) -> f32 {
+    later.since_ns(earlier) as f32 / STEP_NS as f32
 }
 
 fn between(last: &(HostTime, Seen), now: HostTime, seen: &Seen, at: HostTime) -> Seen {

@@ -5,6 +5,7 @@
 //! ([`grid`], [`network`]), and its answer is moved to meet headset and hands ([`refine`]). `ik`
 //! runs beside it: it stands in while there is no head or no answer, and both fade into each other.
 
+mod carry;
 mod features;
 mod grid;
 mod network;
@@ -15,6 +16,7 @@ use posed_signal::{HostTime, Role};
 
 use crate::{
     fade::{Place, PoseFade},
+    geometry::is_human,
     ik::Ik,
     inference::{InferenceError, Runtime},
     presence::{Hand, Head, HeadState, Sensed, quality},
@@ -29,6 +31,8 @@ pub use refine::Energy;
 
 /// A lost hand is where the network puts it after this time, seconds.
 const LEAVE_S: f32 = 0.3;
+/// A returning one is where it is measured after this time, seconds.
+const RETURN_S: f32 = 0.2;
 /// Network and `ik` take over from each other in this time, seconds.
 const TAKE_OVER_S: f32 = 0.4;
 /// A network that starts from nothing while a pose is already shown settles for so long before it
@@ -90,7 +94,7 @@ impl HmdNemo {
             options,
             ik: Ik::default(),
             head: Head::NEW,
-            hands: [Hand::new(LEAVE_S); 2],
+            hands: [Hand::new(LEAVE_S, RETURN_S); 2],
             last: None,
             shown: None,
             fade: PoseFade::DONE,
@@ -149,7 +153,7 @@ impl Tracker for HmdNemo {
         self.grid.reset();
         self.ik.reset();
         self.head = Head::NEW;
-        self.hands = [Hand::new(LEAVE_S); 2];
+        self.hands = [Hand::new(LEAVE_S, RETURN_S); 2];
         (self.last, self.shown, self.fade) = (None, None, PoseFade::DONE);
         self.warm_s = WARM_S;
     }
@@ -175,6 +179,7 @@ impl Tracker for HmdNemo {
                 self.warm_s = 0.0;
                 None
             }
+            _ if !is_human(skeleton) => None,
             _ => self.predict(input.target, &head, hands, skeleton, dt),
         };
         self.warm_s += dt;

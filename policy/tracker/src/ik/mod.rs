@@ -18,7 +18,7 @@ use posed_signal::{HostTime, Role};
 
 use crate::{
     fade::Place,
-    geometry::gain,
+    geometry::{gain, is_human},
     presence::{Hand, Head, Sensed, quality},
     sensors::TOE_JOINT_OVER_STATURE,
     tracker::{Input, Quality, Tracked, Tracker, TrackerKind},
@@ -29,6 +29,8 @@ use legs::Leg;
 use steps::{Footing, Load, Steps};
 use torso::{Cues, Torso, TorsoPose};
 
+/// A returning hand is where it is measured after this time, seconds.
+const RETURN_S: f32 = 0.3;
 /// A lost hand sinks to the side in this time, seconds.
 const SINK_S: f32 = 0.9;
 /// A longer gap between ticks counts as this long, seconds.
@@ -68,7 +70,7 @@ impl Default for Ik {
         Self {
             last: None,
             head: Head::NEW,
-            hands: [Hand::new(SINK_S); 2],
+            hands: [Hand::new(SINK_S, RETURN_S); 2],
             notice: [0.0; 2],
             torso: Torso::NEW,
             swivel: [None; 2],
@@ -95,6 +97,9 @@ impl Tracker for Ik {
         self.last = Some(input.target);
         let dt = dt.clamp(0.0, GAP_MAX);
         let skeleton = &input.wearer.skeleton;
+        if !is_human(skeleton) {
+            return self.give_up();
+        }
         let sensed = [Role::Head, Role::LeftHand, Role::RightHand]
             .map(|role| Sensed::from_lookup(&input.part(role)));
         let [head, hands @ ..] = sensed;
@@ -109,7 +114,7 @@ impl Tracker for Ik {
             self.arm(&mut pose, side, &torso, hands[side], skeleton, dt);
         }
         if !pose.is_sound() {
-            return self.give_up(standing);
+            return self.give_up();
         }
         Tracked {
             pose,
@@ -120,20 +125,12 @@ impl Tracker for Ik {
 }
 
 impl Ik {
-    /// The resting pose at the origin, and a fresh start: for a wearer whose bones make no sense.
-    fn give_up(&mut self, standing: f32) -> Tracked {
+    /// A pose that stands at the origin, and a fresh start: for a wearer whose bones make no sense.
+    fn give_up(&mut self) -> Tracked {
         self.reset();
-        let root = Vec3::new(
-            0.0,
-            if standing.is_finite() {
-                0.6 * standing
-            } else {
-                0.9
-            },
-            0.0,
-        );
+        let pose = BodyPose::rest(Vec3::new(0.0, 0.9, 0.0));
         Tracked {
-            pose: BodyPose::rest(root),
+            pose,
             quality: Quality::Held,
             kind: TrackerKind::Ik,
         }

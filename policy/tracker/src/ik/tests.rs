@@ -258,6 +258,24 @@ fn the_rate_of_ticks_does_not_matter() {
     }
 }
 
+#[test]
+fn bones_that_make_no_sense_give_a_sound_pose() {
+    for number in [0.0, f32::NAN, f32::INFINITY, 1e20, -1.0] {
+        let mut stage = Stage::new(1.75);
+        stage.wearer.skeleton.offsets = [Vec3::splat(number); 22];
+        for tick in 0..20 {
+            let place = Place {
+                position: Vec3::new(0.1, 1.4, 0.0),
+                rotation: Quat::IDENTITY,
+            };
+            stage.set(Role::Head, &place);
+            stage.set(Role::LeftHand, &place);
+            let tracked = stage.tick(tick * 16);
+            assert!(tracked.pose.is_sound(), "{number}: {tracked:?}");
+        }
+    }
+}
+
 fn anywhere() -> impl Strategy<Value = Option<Place>> {
     let numbers = prop::array::uniform6(-3.0f32..3.0);
     prop::option::weighted(0.8, numbers).prop_map(|numbers| {

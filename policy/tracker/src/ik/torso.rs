@@ -212,7 +212,7 @@ impl TorsoPose {
     fn fit_height(&mut self, head: Vec3, skeleton: &Skeleton, yaw: f32) {
         let high = standing_pelvis(skeleton);
         let low = PELVIS_LOW * skeleton.head_height();
-        let goal = self.root.y.clamp(low, high);
+        let goal = self.root.y.max(low).min(high);
         let chain = self.root - head;
         let length = chain.length();
         if goal == self.root.y || length < 1e-3 {

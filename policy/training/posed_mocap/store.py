@@ -68,7 +68,8 @@ def export(arrays, path, compress=False):
     """Writes the arrays as one `.npz`, atomically. Compressed for carrying to another machine."""
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_suffix(".part.npz")
+    # Workers that start together may all find no file: each writes its own.
+    partial = path.with_suffix(f".{os.getpid()}.part.npz")
     (np.savez_compressed if compress else np.savez)(partial, **arrays)
     os.replace(partial, path)
 

@@ -38,9 +38,11 @@ pub(super) const POINTS_MAX: usize = 2 * FOOT_POINTS + SITES.len();
 
 /// A toe joint that moves slower than the first speed can be in contact, one faster than the
 /// second cannot; m/s.
-const SPEEDS: [f64; 2] = [0.25, 0.8];
-/// The same for its height above where it is when the foot stands, metres.
-const HEIGHTS: [f64; 2] = [0.015, 0.05];
+const SPEEDS: [f64; 2] = [0.4, 1.0];
+/// A toe joint slower than this shows how high it stands, m/s.
+const STILL: f64 = 0.15;
+/// The same as for speeds for its height above where it is when the foot stands, metres.
+const HEIGHTS: [f64; 2] = [0.02, 0.06];
 /// How fast a contact probability may rise, per second: a foot that stops for a moment on its
 /// way is not standing.
 const RISE: f64 = 40.0;
@@ -177,7 +179,7 @@ impl Feet {
     /// upwards.
     fn learn_clearance(&mut self, heights: [f64; 2], speeds: [f64; 2], tick: f64) {
         let lower = usize::from(heights[1] < heights[0]);
-        if speeds[lower] > SPEEDS[0] {
+        if speeds[lower] > STILL {
             return;
         }
         let height = heights[lower].clamp(0.0, CLEARANCE_MAX);

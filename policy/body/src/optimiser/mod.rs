@@ -215,7 +215,7 @@ impl Optimiser {
         );
         problem::add_friction(&mut self.problem, self.settings.friction, count);
         let outcome = self.solve(&frames, &wanted, ground);
-        self.finish(motion, &frames, count, outcome, &target)
+        self.finish(motion, &frames, count, outcome, &target, ground)
     }
 
     /// The dual controller: accelerations after which, one tick later, the velocities are the

@@ -60,6 +60,18 @@ pub struct Solved {
 /// With less than this share of its weight carried a body is in free fall.
 const FALLING: f64 = 0.1;
 
+/// A joint may end a tick this far below the ground, metres.
+const ARC_MAX: f64 = 0.002;
+
+/// Deeper than this it is not the arc, metres: the ground rose, and the body follows in its time.
+const ARC_ERROR: f64 = 0.04;
+
+/// How far the deepest joint lies below the ground, metres; zero where none does.
+fn deepest(frames: &Frames, ground: &Ground) -> f64 {
+    let depth = |place: DVec3| ground.at(place.x, place.z).height - place.y;
+    frames.positions.into_iter().map(depth).fold(0.0, f64::max)
+}
+
 fn body_pose(motion: &Motion) -> BodyPose {
     BodyPose {
         root: motion.root.as_vec3(),
@@ -86,8 +98,7 @@ impl Optimiser {
     /// The first pose after a reset: the reference, at rest, and out of the ground.
     pub(super) fn start(&mut self, mut target: Target, ground: &Ground) -> Solved {
         let frames = Frames::new(&self.tree, &motion_of(&target));
-        let depth = |place: DVec3| ground.at(place.x, place.z).height - place.y;
-        let deepest = frames.positions.into_iter().map(depth).fold(0.0, f64::max);
+        let deepest = deepest(&frames, ground);
         if deepest > SUNK {
             self.lift = deepest;
         }
@@ -116,6 +127,7 @@ impl Optimiser {
         points: usize,
         outcome: Outcome,
         target: &Target,
+        ground: &Ground,
     ) -> Solved {
         let x = self.solver.x();
         if outcome == Outcome::Kinematic || x.iter().any(|x| !x.is_finite()) {
@@ -161,9 +173,19 @@ impl Optimiser {
         }
         solved.zero_moment_point = self.zero_moment_point(frames, &needed);
         motion.advance(&x[..VELOCITIES], self.tick);
+        self.lift_out(&mut motion, ground);
         self.motion = Some(motion);
         solved.pose = body_pose(&motion);
         solved
+    }
+
+    /// The program keeps joints out of the ground along straight lines; one that swings fast
+    /// moves on an arc and may end a little below. The whole body is raised by that little.
+    fn lift_out(&self, motion: &mut Motion, ground: &Ground) {
+        let deepest = deepest(&Frames::new(&self.tree, motion), ground);
+        if (ARC_MAX..ARC_ERROR).contains(&deepest) {
+            motion.root.y += deepest - ARC_MAX;
+        }
     }
 
     /// Where the wrench that the motion needs at the pelvis has no horizontal moment.

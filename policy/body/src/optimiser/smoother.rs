@@ -3,7 +3,7 @@
 //! Each channel (the pelvis's position, each joint's rotation) is an α-β filter whose gains
 //! follow from how noisy the stream is: P. R. Kalata, "The tracking index: a generalized
 //! parameter for α-β and α-β-γ target trackers", IEEE Trans. Aerospace and Electronic Systems
-//! 20(2), 1984. The noise is measured as the stream runs, from its third differences, in which
+//! 20(2), 1984. The noise is measured as the stream runs, from its fifth differences, in which
 //! white noise stands out and human motion does not. A clean stream passes through unchanged and
 //! without delay.
 
@@ -13,8 +13,10 @@ use crate::skeleton::{BodyPose, JOINTS};
 
 /// Over this time the noise is averaged, seconds.
 const NOISE_TIME: f64 = 0.4;
-/// Variance of the third difference of white noise of unit variance, over three axes.
-const THIRD_DIFFERENCE: f64 = 60.0;
+/// Variance of the fifth difference of white noise of unit variance, over three axes.
+const FIFTH_DIFFERENCE: f64 = 3.0 * 252.0;
+/// The fifth difference of positions from their increments, oldest first.
+const WEIGHTS: [f64; 5] = [1.0, -4.0, 6.0, -4.0, 1.0];
 /// Noise never taken to be less than this, metres or radians: single precision.
 const NOISE_MIN: f64 = 1e-6;
 
@@ -40,7 +42,7 @@ impl Gains {
 /// Running estimate of the noise of a channel from its increments.
 #[derive(Debug, Clone, Copy, Default)]
 struct Noise {
-    increments: [DVec3; 2],
+    increments: [DVec3; 5],
     seen: u8,
     variance: f64,
 }
@@ -48,16 +50,20 @@ struct Noise {
 impl Noise {
     /// Takes the next increment and gives the deviation per axis.
     fn update(&mut self, increment: DVec3, tick: f64) -> f64 {
-        let third = increment - 2.0 * self.increments[1] + self.increments[0];
-        self.increments = [self.increments[1], increment];
-        if self.seen < 2 {
-            self.seen += 1;
-            return 0.0;
-        }
-        let sample = third.length_squared() / THIRD_DIFFERENCE;
-        // A plain mean over the first samples, so that the estimate is right from the start.
+        self.increments.rotate_left(1);
+        self.increments[4] = increment;
         self.seen = self.seen.saturating_add(1);
-        let rate = (tick / NOISE_TIME).max(1.0 / f64::from(self.seen - 2));
+        let Some(samples @ 1..) = self.seen.checked_sub(4) else {
+            return 0.0;
+        };
+        let fifth: DVec3 = WEIGHTS
+            .iter()
+            .zip(self.increments)
+            .map(|(&w, i)| w * i)
+            .sum();
+        let sample = fifth.length_squared() / FIFTH_DIFFERENCE;
+        // A plain mean over the first samples, so that the estimate is right from the start.
+        let rate = (tick / NOISE_TIME).max(1.0 / f64::from(samples));
         self.variance += (sample - self.variance) * rate;
         self.variance.sqrt()
     }

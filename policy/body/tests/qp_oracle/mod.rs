@@ -49,9 +49,9 @@ pub fn judge(problem: &Problem) -> Verdict {
     let bounds: Vec<f64> = (0..m).map(|row| -problem.constraint(row).1).collect();
     let settings = DefaultSettingsBuilder::default()
         .verbose(false)
-        .tol_gap_abs(1e-10)
-        .tol_gap_rel(1e-10)
-        .tol_feas(1e-10)
+        .tol_gap_abs(1e-9)
+        .tol_gap_rel(1e-9)
+        .tol_feas(1e-9)
         .max_iter(200)
         .build()
         .expect("sound settings");

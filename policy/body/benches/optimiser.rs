@@ -38,11 +38,11 @@ fn ticks(c: &mut Criterion) {
     let problem = optimiser.problem().clone();
     let mut solver = Solver::new(problem.unknowns(), problem.constraints());
     c.bench_function("quadratic program, cold", |b| {
-        b.iter(|| solver.solve(&problem, &[]))
+        b.iter(|| solver.solve(&problem, &[]));
     });
     let active = solver.active().to_vec();
     c.bench_function("quadratic program, warm", |b| {
-        b.iter(|| solver.solve(&problem, &active))
+        b.iter(|| solver.solve(&problem, &active));
     });
 
     let character = Character::new(&clip.skeleton, None).expect("a person's stature");
@@ -54,7 +54,7 @@ fn ticks(c: &mut Criterion) {
     let model = Model::new(character, Scene::default()).expect("a sound model");
     let mut state = model.state();
     c.bench_function("simulation step of 1/144 s", |b| {
-        b.iter(|| state.step(&[0.0; HINGES], 1))
+        b.iter(|| state.step(&[0.0; HINGES], 1));
     });
 }
 

@@ -15,11 +15,15 @@ PLAIN = ("embedding", "pose", "contact", "trajectory.", "auxiliary", "first_toke
 
 
 def orthogonal(matrices, steps=5):
-    """Newton-Schulz iteration towards the nearest orthogonal matrix, (n, rows, columns)."""
+    """Newton-Schulz iteration towards the nearest orthogonal matrix, (n, rows, columns).
+
+    In bfloat16 on a GPU; a CPU without instructions for it is 18 times as fast in float32.
+    """
     a, b, c = 3.4445, -4.7750, 2.0315
     tall = matrices.shape[-2] > matrices.shape[-1]
     x = matrices.mT if tall else matrices
-    x = (x / (x.norm(dim=(-2, -1), keepdim=True) + 1e-7)).bfloat16()
+    x = x / (x.norm(dim=(-2, -1), keepdim=True) + 1e-7)
+    x = x.bfloat16() if x.is_cuda else x
     for _ in range(steps):
         gram = x @ x.mT
         x = torch.baddbmm(x, torch.baddbmm(gram, gram, gram, beta=b, alpha=c), x, beta=a)
@@ -27,15 +31,20 @@ def orthogonal(matrices, steps=5):
 
 
 class MuonAdamW(torch.optim.Optimizer):
-    """One optimizer over a model's named parameters."""
+    """One optimizer over a model's named parameters.
 
-    def __init__(self, named_parameters, lr, momentum=0.95, betas=(0.9, 0.99), weight_decay=0.01):
+    `split` names the layers whose outputs are `split_blocks` matrices side by side, `plain` what
+    is left to AdamW.
+    """
+
+    def __init__(self, named_parameters, lr, momentum=0.95, betas=(0.9, 0.99), weight_decay=0.01,
+                 split=SPLIT, split_blocks=3, plain=PLAIN):
         groups = {}
         for name, parameter in named_parameters:
-            plain = parameter.dim() < 2 or any(part in name for part in PLAIN)
+            adam = parameter.dim() < 2 or any(part in name for part in plain)
             inputs_last = "weight" in name and parameter.dim() == 2
-            blocks = 3 if any(part in name for part in SPLIT) else 1
-            key = "plain" if plain else (blocks, inputs_last)
+            blocks = split_blocks if any(part in name for part in split) else 1
+            key = "plain" if adam else (blocks, inputs_last)
             groups.setdefault(key, []).append(parameter)
         super().__init__(
             [{"params": params, "blocks": 0 if key == "plain" else key[0],

@@ -216,6 +216,10 @@ pub struct EvalArgs {
     /// What the wearer has on: hmd, hmd+controllers, hmd+hands or imu6.
     #[arg(long, default_value = "hmd+controllers", value_parser = parse_sensors)]
     pub sensors: posed_tracker::eval::Sensors,
+    /// How the sensors of imu6 sit: exact, or worn (off their place, calibrated and drifting as
+    /// real ones are).
+    #[arg(long, default_value = "exact", value_parser = parse_straps)]
+    pub straps: posed_tracker::eval::Straps,
     /// Whose bones the tracker is told: the clip's own, or average ones of the height.
     #[arg(long, default_value = "clip", value_parser = parse_bones)]
     pub bones: posed_tracker::eval::Bones,
@@ -284,6 +288,12 @@ fn parse_rate(text: &str) -> Result<f64, String> {
         Ok(rate) if (10.0..=1000.0).contains(&rate) => Ok(rate),
         _ => Err("give poses a second, from 10 to 1000".into()),
     }
+}
+
+fn parse_straps(text: &str) -> Result<posed_tracker::eval::Straps, String> {
+    use posed_tracker::eval::Straps;
+    let names = || Straps::ALL.map(Straps::name).join(", ");
+    Straps::from_name(text).ok_or_else(|| format!("there are {}", names()))
 }
 
 fn parse_sensors(text: &str) -> Result<posed_tracker::eval::Sensors, String> {

@@ -46,6 +46,7 @@ pub fn run(args: &EvalArgs) -> Result<(), CommandError> {
     let jobs = jobs(&sets, args)?;
     let options = Options {
         sensors: args.sensors,
+        straps: args.straps,
         bones: args.bones,
         rate_hz: args.rate,
         lookahead: args.lookahead,
@@ -59,6 +60,7 @@ pub fn run(args: &EvalArgs) -> Result<(), CommandError> {
             "split": args.split,
             "tracker": args.tracker.name(),
             "sensors": args.sensors.name(),
+            "straps": args.straps.name(),
             "bones": args.bones.name(),
             "physics": args.physics,
             "lookahead": args.lookahead,

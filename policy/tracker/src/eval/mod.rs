@@ -22,6 +22,7 @@ use crate::{
 };
 
 pub use class::motion_class;
+pub use inertial::Straps;
 pub use report::{Report, Row};
 pub use sensors::{Frustum, Sensors, Shown};
 
@@ -77,6 +78,8 @@ impl Bones {
 pub struct Options {
     /// The devices.
     pub sensors: Sensors,
+    /// How inertial sensors sit, if they are worn.
+    pub straps: Straps,
     /// The bones that the tracker is told.
     pub bones: Bones,
     /// Ticks a second; devices report at the same rate. Metrics that count frames mean 60.
@@ -91,6 +94,7 @@ impl Default for Options {
     fn default() -> Self {
         Self {
             sensors: Sensors::HmdControllers,
+            straps: Straps::Exact,
             bones: Bones::Clip,
             rate_hz: 60.0,
             lookahead: 0,
@@ -196,7 +200,7 @@ struct Stage<'a> {
 impl<'a> Stage<'a> {
     fn new(trajectory: &'a Trajectory, wearer: &Wearer, clip: &Clip, options: &Options) -> Self {
         Self {
-            shown: Shown::new(trajectory, clip, options.sensors),
+            shown: Shown::new(trajectory, clip, options.sensors, options.straps),
             mounts: Mounts::index(wearer),
             histories: std::array::from_fn(|_| History::default()),
             rate_hz: options.rate_hz,

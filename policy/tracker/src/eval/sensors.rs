@@ -2,12 +2,12 @@
 
 use glam::{DQuat, DVec3, Vec3};
 use posed_body::{
-    Joint, Skeleton,
+    Joint,
     motion::{Clip, JointMotion, Trajectory},
 };
 use posed_signal::{HostTime, Imu, Pose, PoseHow, Role};
 
-use super::inertial::{self, Placement};
+use super::inertial::{Placement, Straps};
 
 /// Which devices the wearer has on.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -97,23 +97,28 @@ impl Frustum {
 /// A moving wearer with devices on.
 pub struct Shown<'a> {
     trajectory: &'a Trajectory,
-    skeleton: Skeleton,
     sensors: Sensors,
+    /// The inertial sensors that are worn.
+    placements: [Option<Placement>; Role::COUNT],
     frustum: Frustum,
     head_height: f32,
 }
 
 impl<'a> Shown<'a> {
-    /// The wearer of a clip.
+    /// The wearer of a clip. `straps` tell how inertial sensors sit, if they are worn.
     #[must_use]
-    pub fn new(trajectory: &'a Trajectory, clip: &Clip, sensors: Sensors) -> Self {
-        let skeleton = clip.skeleton;
+    pub fn new(trajectory: &'a Trajectory, clip: &Clip, sensors: Sensors, straps: Straps) -> Self {
+        let placement = |role| {
+            let worn = sensors == Sensors::Imu6;
+            let seed = fnv1a(&clip.name);
+            worn.then(|| Placement::of(role, &clip.skeleton, straps, seed))?
+        };
         Self {
             trajectory,
-            skeleton,
             sensors,
+            placements: Role::ALL.map(placement),
             frustum: Frustum::default(),
-            head_height: skeleton.head_height().max(0.1),
+            head_height: clip.skeleton.head_height().max(0.1),
         }
     }
 
@@ -127,9 +132,9 @@ impl<'a> Shown<'a> {
     #[must_use]
     pub fn pose(&self, role: Role, seconds: f64, at: HostTime) -> Option<Pose> {
         if self.sensors == Sensors::Imu6 {
-            let placement = Placement::of(role, &self.skeleton)?;
+            let placement = self.placements[role as usize].as_ref()?;
             return Some(rotation_only(
-                &self.trajectory.joint(placement.joint, seconds),
+                &placement.motion(self.trajectory, seconds),
                 at,
             ));
         }
@@ -153,13 +158,17 @@ impl<'a> Shown<'a> {
 
     /// What the role's inertial sensor measures, in its own frame; only of the six that PIP has.
     #[must_use]
-    pub fn imu(&self, role: Role, seconds: f64) -> Option<Imu> {
-        if self.sensors != Sensors::Imu6 {
-            return None;
-        }
-        let placement = Placement::of(role, &self.skeleton)?;
-        Some(inertial::measure(self.trajectory, &placement, seconds))
+    pub fn imu(&mut self, role: Role, seconds: f64) -> Option<Imu> {
+        let placement = self.placements[role as usize].as_mut()?;
+        Some(placement.measure(self.trajectory, seconds))
     }
+}
+
+/// Fowler, Noll and Vo's hash: the same seed for a name in every run and build.
+fn fnv1a(name: &str) -> u64 {
+    name.bytes().fold(0xcbf2_9ce4_8422_2325, |hash, byte| {
+        (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3)
+    })
 }
 
 fn optical(motion: &JointMotion, at: HostTime) -> Pose {

@@ -148,6 +148,63 @@ fn six_inertial_sensors_report_rotations_and_forces() {
     assert_eq!(heard, 6 * (result.frames + 1));
 }
 
+const SIX: [Role; 6] = [
+    Role::LeftWrist,
+    Role::RightWrist,
+    Role::LeftKnee,
+    Role::RightKnee,
+    Role::Head,
+    Role::Waist,
+];
+
+#[test]
+fn the_six_measure_what_their_bones_do() {
+    let clip = clip(181, 60.0);
+    let trajectory = Trajectory::new(&clip);
+    let mut shown = Shown::new(&trajectory, &clip, Sensors::Imu6, Straps::Exact);
+    for role in SIX {
+        let pose = shown.pose(role, 1.5, START).unwrap();
+        let imu = shown.imu(role, 1.5).unwrap();
+        assert_eq!(pose.how, PoseHow::Inertial);
+        // What is left when gravity is taken out in the world is the body's own acceleration.
+        let accel = pose.rotation * imu.accel - Vec3::Y * 9.81;
+        assert!(accel.length() < 3.0, "{role}: {accel}");
+        let turning = pose.rotation * imu.gyro;
+        assert!((turning.y - 0.5).abs() < 0.9, "{role}: {turning}");
+    }
+    // The pelvis turns at 0.5 rad/s and glides; its sensor sits 10 cm behind the joint.
+    let imu = shown.imu(Role::Waist, 1.5).unwrap();
+    assert!(imu.gyro.distance(Vec3::Y * 0.5) < 1e-4, "{}", imu.gyro);
+    let inward = -0.1 * 0.25;
+    let own = -0.1 * 1.5_f32.sin();
+    let turned = Quat::from_rotation_y(-0.75) * Vec3::new(own, 0.0, 0.0);
+    let expected = turned + Vec3::new(0.0, 9.81, inward);
+    assert!(
+        imu.accel.distance(expected) < 2e-3,
+        "{} {expected}",
+        imu.accel
+    );
+    assert!(shown.imu(Role::LeftHand, 1.5).is_none());
+}
+
+#[test]
+fn worn_straps_are_a_little_off_and_the_same_every_time() {
+    let clip = clip(181, 60.0);
+    let trajectory = Trajectory::new(&clip);
+    let [mut exact, mut worn, mut again] = [Straps::Exact, Straps::Worn, Straps::Worn]
+        .map(|straps| Shown::new(&trajectory, &clip, Sensors::Imu6, straps));
+    for role in SIX {
+        let poses = [&exact, &worn, &again].map(|shown| shown.pose(role, 2.0, START).unwrap());
+        assert_eq!(poses[1], poses[2]);
+        let off = poses[0].rotation.angle_between(poses[1].rotation);
+        assert!((0.005..0.16).contains(&off), "{role}: {off}");
+        let imus = [&mut exact, &mut worn, &mut again].map(|shown| shown.imu(role, 2.0).unwrap());
+        assert_eq!(imus[1], imus[2]);
+        let apart = (poses[0].rotation * imus[0].accel).distance(poses[1].rotation * imus[1].accel);
+        assert!((1e-3..1.0).contains(&apart), "{role}: {apart}");
+    }
+}
+
 #[test]
 fn the_same_run_gives_the_same_numbers() {
     let clip = clip(91, 30.0);

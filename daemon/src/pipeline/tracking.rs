@@ -4,16 +4,20 @@
 //! who ticks it: a real-time thread, a replay that steps time, or a test.
 
 use posed_signal::{
-    Clock, DeviceId, History, HostTime, Lookup, Pose, Role, Sample, device::DEVICES_MAX,
+    Clock, DeviceId, History, HostTime, Lookup, Motion, Orientation, Pose, Role, Sample, device::DEVICES_MAX,
     latest::Reader, ring::Consumer,
 };
-use posed_tracker::{Input, Tracked, Tracker, TrackerKind, Wearer, ik::Ik, sensors::Mounts};
+use posed_tracker::{
+    Input, Tracked, Tracker, TrackerKind, Wearer, ik::Ik, sensors::Mounts, tracker::NO_INERTIAL,
+};
 
 use super::latency::LatencyModel;
 use crate::published::PublishedPose;
 
 /// Device poses remembered: at 500 Hz the last half second, the span after which one is stale.
 const HISTORY: usize = 256;
+/// Orientations remembered: at 200 Hz, twice what any inertial tracker sends, the same span.
+const ORIENTATIONS: usize = 128;
 /// Samples taken from one device at one tick: more than a ring holds.
 const DRAIN_MAX: usize = 4096;
 /// Requests taken at one tick.
@@ -73,6 +77,7 @@ pub struct Counters {
 pub struct TrackerLoop {
     inputs: Inputs,
     histories: Vec<History<Pose, HISTORY>>,
+    orientations: Vec<History<Orientation, ORIENTATIONS>>,
     roles: RoleTable,
     trackers: Vec<Box<dyn Tracker>>,
     fallback: Ik,
@@ -93,6 +98,7 @@ impl TrackerLoop {
         Self {
             inputs,
             histories: (0..DEVICES_MAX).map(|_| History::default()).collect(),
+            orientations: (0..DEVICES_MAX).map(|_| History::default()).collect(),
             roles: [Role::None; DEVICES_MAX],
             trackers: setup.trackers,
             fallback: Ik::default(),
@@ -121,7 +127,8 @@ impl TrackerLoop {
         self.drain(observe);
         let target = self.latency.target(now);
         let parts = self.parts(target);
-        let tracked = self.track(target, &parts);
+        let inertial = self.inertial(target);
+        let tracked = self.track(target, &parts, &inertial);
         self.counters.ticks += 1;
         self.publication(clock, now, target, &parts, tracked)
     }
@@ -167,17 +174,19 @@ impl TrackerLoop {
         if let Some((_, roles)) = self.inputs.roles.get() {
             self.roles = roles;
         }
-        let devices = self.inputs.rings.iter_mut().zip(&mut self.histories);
-        for (index, (ring, history)) in devices.enumerate() {
+        let histories = self.histories.iter_mut().zip(&mut self.orientations);
+        let devices = self.inputs.rings.iter_mut().zip(histories);
+        for (index, (ring, (poses, orientations))) in devices.enumerate() {
             for _ in 0..DRAIN_MAX {
                 let Some(sample) = ring.pop() else { break };
                 self.counters.samples += 1;
                 observe(DeviceId(index as u8), &sample);
-                if let Sample::Pose(pose) = sample
-                    && !take(history, pose)
-                {
-                    self.counters.out_of_order += 1;
-                }
+                let in_order = match sample {
+                    Sample::Pose(pose) => take(poses, pose),
+                    Sample::Orientation(orientation) => take(orientations, orientation),
+                    _ => true,
+                };
+                self.counters.out_of_order += u64::from(!in_order);
             }
         }
     }
@@ -194,10 +203,28 @@ impl TrackerLoop {
         parts
     }
 
-    fn track(&mut self, target: HostTime, parts: &[Lookup<Pose>; Role::COUNT]) -> Tracked {
+    /// The bone that carries each role's inertial tracker, at `target`.
+    fn inertial(&self, target: HostTime) -> [Lookup<Orientation>; Role::COUNT] {
+        let mut inertial = NO_INERTIAL;
+        for (history, &role) in self.orientations.iter().zip(&self.roles) {
+            let slot = &mut inertial[role as usize];
+            if role != Role::None && matches!(slot, Lookup::Empty) {
+                *slot = self.mounts.bone(role, history.at(target));
+            }
+        }
+        inertial
+    }
+
+    fn track(
+        &mut self,
+        target: HostTime,
+        parts: &[Lookup<Pose>; Role::COUNT],
+        inertial: &[Lookup<Orientation>; Role::COUNT],
+    ) -> Tracked {
         let input = Input {
             target,
             parts,
+            inertial,
             wearer: &self.wearer,
         };
         let chosen = self
@@ -252,16 +279,16 @@ impl TrackerLoop {
     }
 }
 
-/// Puts a pose into its history. A stream whose time falls back far has started anew: its past is
-/// of another clock.
-fn take(history: &mut History<Pose, HISTORY>, pose: Pose) -> bool {
+/// Puts a sample into its history. A stream whose time falls back far has started anew: its past
+/// is of another clock.
+fn take<T: Motion, const N: usize>(history: &mut History<T, N>, sample: T) -> bool {
     if history
         .newest()
-        .is_some_and(|newest| newest.at.since_ns(pose.at) > RESTART_NS)
+        .is_some_and(|newest| newest.at().since_ns(sample.at()) > RESTART_NS)
     {
         history.clear();
     }
-    history.push(pose)
+    history.push(sample)
 }
 
 /// A stream that falls back further than this has started anew.

@@ -1,7 +1,7 @@
 //! Samples indexed by time. A history answers *at a time*, and says how the answer was made.
 
 use crate::{
-    sample::Pose,
+    sample::{Orientation, Pose},
     time::{HostTime, MILLISECOND_NS},
 };
 
@@ -48,6 +48,31 @@ impl Motion for Pose {
         Self {
             at: self.at.plus_ns(ns),
             position: self.position + self.velocity * dt,
+            rotation: (turn * self.rotation).normalize(),
+            ..*self
+        }
+    }
+}
+
+impl Motion for Orientation {
+    fn at(&self) -> HostTime {
+        self.at
+    }
+
+    fn interpolate(&self, later: &Self, fraction: f32) -> Self {
+        let ns = later.at.since_ns(self.at) as f64 * f64::from(fraction);
+        Self {
+            at: self.at.plus_ns(ns as i64),
+            rotation: self.rotation.slerp(later.rotation, fraction).normalize(),
+            accel: self.accel.lerp(later.accel, fraction),
+            angular_velocity: self.angular_velocity.lerp(later.angular_velocity, fraction),
+        }
+    }
+
+    fn extrapolate(&self, ns: i64) -> Self {
+        let turn = glam::Quat::from_scaled_axis(self.angular_velocity * (ns as f32 * 1e-9));
+        Self {
+            at: self.at.plus_ns(ns),
             rotation: (turn * self.rotation).normalize(),
             ..*self
         }

@@ -20,5 +20,5 @@ pub mod time;
 pub use clock_map::{ClockMap, TickUnwrap};
 pub use device::{DeviceId, Role, Serial};
 pub use history::{History, Lookup, Motion};
-pub use sample::{Battery, Buttons, Imu, Pose, PoseHow, Sample};
+pub use sample::{Battery, Buttons, Imu, Orientation, Pose, PoseHow, Radio, Sample};
 pub use time::{Clock, HostTime, VirtualClock};

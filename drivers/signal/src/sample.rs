@@ -16,6 +16,47 @@ pub struct Imu {
     pub gyro: Vec3,
 }
 
+/// What an inertial tracker says of itself after sensor fusion: its orientation and how it moves,
+/// but not where it is.
+///
+/// In a device's ring the rotated frame is the device's own, and the world is posed's but for its
+/// heading: Y is up, while the direction of -Z is whatever the device's fusion began with, and
+/// turns slowly, because without a compass nothing holds it. After calibration, in what trackers
+/// are given, the rotated frame is that of the bone which carries the device, in posed's world.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Orientation {
+    /// When it was measured; for a device without a clock, when its report arrived.
+    pub at: HostTime,
+    /// The rotated frame to the world, unit.
+    pub rotation: Quat,
+    /// Acceleration of the place where the device sits, m/s^2, in the world's axes. Gravity is
+    /// taken out: at rest it is zero.
+    pub accel: Vec3,
+    /// rad/s, in the world's axes.
+    pub angular_velocity: Vec3,
+}
+
+impl Orientation {
+    /// Whether every number is finite and the rotation is unit within 1 %.
+    #[must_use]
+    pub fn is_sound(&self) -> bool {
+        self.accel.is_finite()
+            && self.angular_velocity.is_finite()
+            && (self.rotation.length_squared() - 1.0).abs() < 0.02
+    }
+
+    /// The same said of the world turned by `turn`: a heading put right.
+    #[must_use]
+    pub fn turned(&self, turn: Quat) -> Self {
+        Self {
+            at: self.at,
+            rotation: (turn * self.rotation).normalize(),
+            accel: turn * self.accel,
+            angular_velocity: turn * self.angular_velocity,
+        }
+    }
+}
+
 /// How a solved device pose came about.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[repr(u8)]
@@ -148,17 +189,34 @@ pub struct Battery {
     pub charging: bool,
 }
 
+/// How well a device's radio is heard.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Radio {
+    /// When it was reported.
+    pub at: HostTime,
+    /// Signal strength at the receiver, dBm; `None` where it is not known.
+    pub rssi_dbm: Option<f32>,
+    /// Packets that arrived since the device was first heard.
+    pub received: u64,
+    /// Packets that did not.
+    pub lost: u64,
+}
+
 /// Any sample, as it travels through a device's ring.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Sample {
     /// Inertial measurement.
     Imu(Imu),
+    /// Orientation of an inertial tracker.
+    Orientation(Orientation),
     /// Solved pose.
     Pose(Pose),
     /// Buttons.
     Buttons(Buttons),
     /// Battery.
     Battery(Battery),
+    /// Radio link.
+    Radio(Radio),
 }
 
 impl Sample {
@@ -167,9 +225,11 @@ impl Sample {
     pub fn at(&self) -> HostTime {
         match self {
             Self::Imu(s) => s.at,
+            Self::Orientation(s) => s.at,
             Self::Pose(s) => s.at,
             Self::Buttons(s) => s.at,
             Self::Battery(s) => s.at,
+            Self::Radio(s) => s.at,
         }
     }
 }

@@ -73,6 +73,7 @@ mod tests {
     use posed_signal::{HostTime, Lookup, Pose, PoseHow, Role};
 
     use super::*;
+    use crate::tracker::NO_INERTIAL;
     use crate::Ik;
 
     #[test]
@@ -92,6 +93,7 @@ mod tests {
             let input = Input {
                 target: at,
                 parts: &parts,
+                inertial: &NO_INERTIAL,
                 wearer: &wearer,
             };
             assert!(tracker.track(&input).pose.is_sound());

@@ -1,7 +1,7 @@
 //! The interface of every tracker: what the devices say at a time, in; a body pose, out.
 
 use posed_body::{BodyPose, Skeleton};
-use posed_signal::{HostTime, Imu, Lookup, Pose, Role};
+use posed_signal::{HostTime, Lookup, Orientation, Pose, Role};
 
 /// Which tracker made a pose.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
@@ -97,6 +97,12 @@ pub struct Input<'a> {
     /// The pose of each role's body part at `target`, and how it was made; indexed by
     /// [`Role`] as a number.
     pub parts: &'a [Lookup<Pose>; Role::COUNT],
+    /// The orientation at `target` of the bone that carries each role's inertial tracker, in
+    /// posed's world, with the acceleration (without gravity) of the place where it sits; empty
+    /// for roles without one, which includes a headset that has a pose. Indexed by [`Role`] as a
+    /// number. [`Role::Waist`] is carried by the pelvis, [`Role::Chest`] by the upper chest,
+    /// knees by the shanks, wrists by the forearms, elbows by the upper arms.
+    pub inertial: &'a [Lookup<Orientation>; Role::COUNT],
     /// The wearer.
     pub wearer: &'a Wearer,
 }
@@ -107,7 +113,16 @@ impl Input<'_> {
     pub fn part(&self, role: Role) -> Lookup<Pose> {
         self.parts[role as usize]
     }
+
+    /// What a role's inertial tracker says of the bone that carries it, at the target time.
+    #[must_use]
+    pub fn inertial(&self, role: Role) -> Lookup<Orientation> {
+        self.inertial[role as usize]
+    }
 }
+
+/// [`Input::inertial`] of a wearer without inertial trackers.
+pub const NO_INERTIAL: [Lookup<Orientation>; Role::COUNT] = [Lookup::Empty; Role::COUNT];
 
 /// A tracker's answer.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -128,10 +143,6 @@ pub trait Tracker: Send {
 
     /// Forgets the past: the next tick starts from what the devices then say.
     fn reset(&mut self);
-
-    /// An inertial sample of a role's device, in the device's own frame; all up to a tick's time
-    /// come before the tick, in the order of time. Trackers that use poses only need not listen.
-    fn sense(&mut self, _role: Role, _sample: &Imu) {}
 
     /// The body pose at `input.target`. Target times never decrease between resets.
     fn track(&mut self, input: &Input<'_>) -> Tracked;

@@ -119,6 +119,7 @@ impl Emit for Sink {
             Sample::Pose(pose) => pose.is_sound(),
             Sample::Buttons(state) => (0.0..=1.0).contains(&state.trigger),
             Sample::Battery(battery) => (0.0..=1.0).contains(&battery.charge),
+            Sample::Orientation(_) | Sample::Radio(_) => false,
         };
         assert!(sound, "{sample:?}");
     }

@@ -7,7 +7,8 @@ mod table;
 use std::collections::BTreeMap;
 
 use posed_signal::{
-    Battery, Buttons, DeviceId, HostTime, Imu, Pose, Role, Sample, Serial, ring::Consumer,
+    Battery, Buttons, DeviceId, HostTime, Imu, Orientation, Pose, Radio, Role, Sample, Serial,
+    ring::Consumer,
 };
 
 use self::{link::Link, table::Table};
@@ -59,6 +60,8 @@ pub struct Counters {
     pub imu: u64,
     /// Poses among them.
     pub poses: u64,
+    /// Orientations among them.
+    pub orientations: u64,
     /// Samples stopped at the door because a number was not finite or a rotation not unit.
     pub unsound: u64,
     /// Samples dropped because the ring was full.
@@ -99,10 +102,14 @@ pub struct DeviceInfo {
     pub imu: Option<Imu>,
     /// Its newest pose.
     pub pose: Option<Pose>,
+    /// Its newest orientation.
+    pub orientation: Option<Orientation>,
     /// The newest state of its buttons.
     pub buttons: Option<Buttons>,
     /// Its battery.
     pub battery: Option<Battery>,
+    /// Its radio link.
+    pub radio: Option<Radio>,
 }
 
 /// Every device that is there.

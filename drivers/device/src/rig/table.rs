@@ -116,8 +116,13 @@ impl Table {
                 device.counters.poses += 1;
                 device.pose = Some(pose);
             }
+            Sample::Orientation(orientation) => {
+                device.counters.orientations += 1;
+                device.orientation = Some(orientation);
+            }
             Sample::Buttons(buttons) => device.buttons = Some(buttons),
             Sample::Battery(battery) => device.battery = Some(battery),
+            Sample::Radio(radio) => device.radio = Some(radio),
         }
         if !self.rings[index].push(sample) {
             device.counters.dropped += 1;
@@ -194,8 +199,10 @@ impl Table {
             counters: Counters::default(),
             imu: None,
             pose: None,
+            orientation: None,
             buttons: None,
             battery: None,
+            radio: None,
         };
         let index = usize::from(id.0);
         let Some(known) = self.devices.get_mut(index) else {
@@ -252,6 +259,7 @@ fn is_sound(sample: &Sample) -> bool {
     match sample {
         Sample::Imu(imu) => imu.accel.is_finite() && imu.gyro.is_finite(),
         Sample::Pose(pose) => pose.is_sound(),
+        Sample::Orientation(orientation) => orientation.is_sound(),
         Sample::Buttons(buttons) => {
             let [x, y] = buttons.stick;
             [buttons.trigger, buttons.squeeze, x, y]
@@ -259,5 +267,6 @@ fn is_sound(sample: &Sample) -> bool {
                 .all(f32::is_finite)
         }
         Sample::Battery(battery) => battery.charge.is_finite(),
+        Sample::Radio(radio) => radio.rssi_dbm.is_none_or(f32::is_finite),
     }
 }

@@ -1,15 +1,11 @@
 //! Inertial sensors on a recorded motion, as PIP and TransPose synthesise them.
 
 use glam::{DQuat, DVec3};
-use posed_body::{
-    Joint, Skeleton,
-    motion::{JointMotion, Trajectory},
-};
-use posed_signal::{HostTime, Imu, Role};
+use posed_body::{Joint, Skeleton, motion::Trajectory};
+use posed_signal::{HostTime, Orientation, Role};
 use rand::{Rng, RngExt, SeedableRng};
 use rand_pcg::Pcg32;
 
-const GRAVITY: f64 = 9.81;
 /// Accelerations are second differences over this many frames of 1/60 s to either side (PIP §4,
 /// after TransPose §3.3: smoothing 4): what is left of real sensors after their filters. The
 /// motion goes on straight beyond its ends.
@@ -65,7 +61,7 @@ const GYRO_BIAS: f64 = 0.005;
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Placement {
     /// The joint whose bone carries it, and whose frame is the sensor's.
-    joint: Joint,
+    pub(super) joint: Joint,
     /// Its place in that frame, metres.
     offset: DVec3,
     faults: Option<Faults>,
@@ -73,7 +69,7 @@ pub(super) struct Placement {
 
 #[derive(Debug, Clone, PartialEq)]
 struct Faults {
-    /// The calibrated sensor's frame in the bone's.
+    /// What calibration took for the bone's frame, in that frame.
     turn: DQuat,
     /// rad/s about the vertical.
     drift: f64,
@@ -131,21 +127,13 @@ impl Placement {
         }
     }
 
-    /// The motion of the sensor's frame as its orientation filter has it: turned by the faults,
-    /// about a joint that is where it is.
-    pub(super) fn motion(&self, trajectory: &Trajectory, seconds: f64) -> JointMotion {
-        let bone = trajectory.joint(self.joint, seconds);
-        let Some(faults) = &self.faults else {
-            return bone;
-        };
-        JointMotion {
-            rotation: DQuat::from_rotation_y(faults.drift * seconds) * bone.rotation * faults.turn,
-            ..bone
-        }
-    }
-
-    /// The sample at a time: specific force and angular velocity in the sensor's frame.
-    pub(super) fn measure(&mut self, trajectory: &Trajectory, seconds: f64) -> Imu {
+    /// What the calibrated tracker says at a time.
+    pub(super) fn measure(
+        &mut self,
+        trajectory: &Trajectory,
+        seconds: f64,
+        at: HostTime,
+    ) -> Orientation {
         let place = |seconds: f64| {
             let motion = trajectory.joint(self.joint, seconds);
             motion.position + motion.rotation * self.offset
@@ -155,19 +143,24 @@ impl Placement {
             place(seconds),
             place(seconds + SMOOTHING_S),
         );
-        let accel = (before - 2.0 * now + after) / (SMOOTHING_S * SMOOTHING_S);
-        let motion = trajectory.joint(self.joint, seconds);
-        let mut into_sensor = motion.rotation.inverse();
-        let (mut accel_error, mut gyro_error) = (DVec3::ZERO, DVec3::ZERO);
+        let mut accel = (before - 2.0 * now + after) / (SMOOTHING_S * SMOOTHING_S);
+        let bone = trajectory.joint(self.joint, seconds);
+        let (mut rotation, mut angular_velocity) = (bone.rotation, bone.angular_velocity);
         if let Some(faults) = &mut self.faults {
-            into_sensor = faults.turn.inverse() * into_sensor;
-            accel_error = faults.accel_bias + within(&mut faults.noise, ACCEL_NOISE);
-            gyro_error = faults.gyro_bias;
+            // Its filter has the world wrong: what it measures rightly in its own frame is turned
+            // into a world that wanders.
+            let wander = DQuat::from_rotation_y(faults.drift * seconds);
+            let sensor = wander * bone.rotation;
+            let error = faults.accel_bias + within(&mut faults.noise, ACCEL_NOISE);
+            accel = wander * accel + sensor * error;
+            angular_velocity = wander * angular_velocity + sensor * faults.gyro_bias;
+            rotation = sensor * faults.turn;
         }
-        Imu {
-            at: HostTime(0),
-            accel: (into_sensor * (accel + DVec3::Y * GRAVITY) + accel_error).as_vec3(),
-            gyro: (into_sensor * motion.angular_velocity + gyro_error).as_vec3(),
+        Orientation {
+            at,
+            rotation: rotation.as_quat().normalize(),
+            accel: accel.as_vec3(),
+            angular_velocity: angular_velocity.as_vec3(),
         }
     }
 }

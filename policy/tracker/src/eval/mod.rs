@@ -13,7 +13,7 @@ use posed_body::{
     BodyPose, Joint,
     motion::{Clip, Trajectory},
 };
-use posed_signal::{History, HostTime, Imu, Lookup, Pose, PoseHow, Role, time::SECOND_NS};
+use posed_signal::{History, HostTime, Lookup, Orientation, Pose, PoseHow, Role, time::SECOND_NS};
 
 use crate::{
     metrics::{Metric, Scores, Track, point_masses},
@@ -147,11 +147,12 @@ pub fn evaluate(clip: &Clip, tracker: &mut dyn Tracker, options: &Options) -> Cl
     let mut predicted = Vec::with_capacity(frames);
     let mut sure = 0usize;
     for frame in 0..frames {
-        stage.push_until(frame + options.lookahead as usize, tracker);
+        stage.push_until(frame + options.lookahead as usize);
         let target = stage.time(frame);
         let input = Input {
             target,
             parts: &stage.parts(target),
+            inertial: &stage.inertial(target),
             wearer: &wearer,
         };
         let tracked = tracker.track(&input);
@@ -191,6 +192,7 @@ struct Stage<'a> {
     shown: Shown<'a>,
     mounts: Mounts,
     histories: [History<Pose, HISTORY>; Role::COUNT],
+    orientations: [History<Orientation, HISTORY>; Role::COUNT],
     rate_hz: f64,
     /// Frames that the devices have reported.
     pushed: usize,
@@ -203,6 +205,7 @@ impl<'a> Stage<'a> {
             shown: Shown::new(trajectory, clip, options.sensors, options.straps),
             mounts: Mounts::index(wearer),
             histories: std::array::from_fn(|_| History::default()),
+            orientations: std::array::from_fn(|_| History::default()),
             rate_hz: options.rate_hz,
             pushed: 0,
             seen: [0; 2],
@@ -214,22 +217,22 @@ impl<'a> Stage<'a> {
     }
 
     /// Lets the devices report up to `frame`.
-    fn push_until(&mut self, frame: usize, tracker: &mut dyn Tracker) {
+    fn push_until(&mut self, frame: usize) {
         while self.pushed <= frame {
             let (at, seconds) = (self.time(self.pushed), self.pushed as f64 / self.rate_hz);
             if seconds > self.shown.duration() + 1e-6 {
                 break;
             }
             for role in Role::ALL {
+                if let Some(orientation) = self.shown.orientation(role, seconds, at) {
+                    self.orientations[role as usize].push(orientation);
+                }
                 let Some(part) = self.shown.pose(role, seconds, at) else {
                     continue;
                 };
                 let device = self.mounts.get(role).device_pose(&part);
                 self.histories[role as usize].push(device);
                 self.count_hand(role, &part);
-                if let Some(imu) = self.shown.imu(role, seconds) {
-                    tracker.sense(role, &Imu { at, ..imu });
-                }
             }
             self.pushed += 1;
         }
@@ -254,6 +257,10 @@ impl<'a> Stage<'a> {
             self.mounts
                 .part(role, self.histories[role as usize].at(target))
         })
+    }
+
+    fn inertial(&self, target: HostTime) -> [Lookup<Orientation>; Role::COUNT] {
+        Role::ALL.map(|role| self.orientations[role as usize].at(target))
     }
 }
 

@@ -1,11 +1,11 @@
 //! What the wearer's devices say of a recorded motion.
 
-use glam::{DQuat, DVec3, Vec3};
+use glam::Vec3;
 use posed_body::{
     Joint,
     motion::{Clip, JointMotion, Trajectory},
 };
-use posed_signal::{HostTime, Imu, Pose, PoseHow, Role};
+use posed_signal::{HostTime, Orientation, Pose, PoseHow, Role};
 
 use super::inertial::{Placement, Straps};
 
@@ -131,16 +131,9 @@ impl<'a> Shown<'a> {
     /// The pose of a role's body part, stamped `at`; `None` where nothing is worn there.
     #[must_use]
     pub fn pose(&self, role: Role, seconds: f64, at: HostTime) -> Option<Pose> {
-        if self.sensors == Sensors::Imu6 {
-            let placement = self.placements[role as usize].as_ref()?;
-            return Some(rotation_only(
-                &placement.motion(self.trajectory, seconds),
-                at,
-            ));
-        }
         let joint = match (role, self.sensors) {
+            (_, Sensors::Imu6) | (Role::LeftHand | Role::RightHand, Sensors::Hmd) => return None,
             (Role::Head, _) => Joint::Head,
-            (_, Sensors::Hmd) => return None,
             (Role::LeftHand, _) => Joint::LeftWrist,
             (Role::RightHand, _) => Joint::RightWrist,
             _ => return None,
@@ -156,11 +149,12 @@ impl<'a> Shown<'a> {
         Some(pose)
     }
 
-    /// What the role's inertial sensor measures, in its own frame; only of the six that PIP has.
+    /// What the role's inertial tracker says, calibrated, stamped `at`; only of the six that PIP
+    /// has.
     #[must_use]
-    pub fn imu(&mut self, role: Role, seconds: f64) -> Option<Imu> {
+    pub fn orientation(&mut self, role: Role, seconds: f64, at: HostTime) -> Option<Orientation> {
         let placement = self.placements[role as usize].as_mut()?;
-        Some(placement.measure(self.trajectory, seconds))
+        Some(placement.measure(self.trajectory, seconds, at))
     }
 }
 
@@ -180,18 +174,5 @@ fn optical(motion: &JointMotion, at: HostTime) -> Pose {
         angular_velocity: motion.angular_velocity.as_vec3(),
         residual_rad: 0.0,
         how: PoseHow::Optical,
-    }
-}
-
-fn rotation_only(motion: &JointMotion, at: HostTime) -> Pose {
-    let still = JointMotion {
-        position: DVec3::ZERO,
-        velocity: DVec3::ZERO,
-        ..*motion
-    };
-    debug_assert!(still.rotation.is_normalized() || still.rotation == DQuat::IDENTITY);
-    Pose {
-        how: PoseHow::Inertial,
-        ..optical(&still, at)
     }
 }

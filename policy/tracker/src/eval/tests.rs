@@ -6,7 +6,7 @@ use crate::{
     tracker::{Tracked, TrackerKind},
 };
 use glam::{Quat, Vec3};
-use posed_body::{Joint, Skeleton};
+use posed_body::{Joint, Joints, Skeleton};
 
 /// A person who turns, sways and moves both arms.
 fn clip(frames: usize, fps: f64) -> Clip {
@@ -46,14 +46,6 @@ impl Tracker for Oracle<'_> {
 
     fn reset(&mut self) {}
 
-    fn sense(&mut self, role: Role, imu: &Imu) {
-        assert!(
-            imu.accel.is_finite() && (imu.accel.length() - 9.8).abs() < 8.0,
-            "{role}: {imu:?}"
-        );
-        self.heard += 1;
-    }
-
     fn track(&mut self, input: &Input<'_>) -> Tracked {
         let pose = self.trajectory.pose(input.target.since_secs(START));
         let joints = self.skeleton.forward(&pose);
@@ -64,9 +56,7 @@ impl Tracker for Oracle<'_> {
         ];
         for (role, joint) in pairs {
             let worn = role == Role::Head || self.sensors != Sensors::Hmd;
-            if self.sensors == Sensors::Imu6 {
-                break;
-            }
+            let worn = worn && self.sensors != Sensors::Imu6;
             assert_eq!(input.part(role).value().is_some(), worn, "{role}");
             let Some(part) = input.part(role).value() else {
                 continue;
@@ -75,6 +65,7 @@ impl Tracker for Oracle<'_> {
             assert!(part.rotation.angle_between(joints.rotation(joint)) < 2e-3);
             self.lost += usize::from(part.how == PoseHow::Lost);
         }
+        self.check_inertial(input, &joints);
         Tracked {
             pose,
             quality: Quality::Full,
@@ -82,6 +73,20 @@ impl Tracker for Oracle<'_> {
         }
     }
 }
+
+impl Oracle<'_> {
+    fn check_inertial(&mut self, input: &Input<'_>, joints: &Joints) {
+        for (role, joint) in SIX {
+            let Some(bone) = input.inertial(role).value() else {
+                continue;
+            };
+            assert!(bone.rotation.angle_between(joints.rotation(joint)) < 2e-3);
+            assert!(bone.accel.length() < 8.0, "{role}: {bone:?}");
+            self.heard += 1;
+        }
+    }
+}
+
 
 fn run_oracle(options: &Options) -> (ClipResult, usize, usize) {
     let clip = clip(181, 60.0);
@@ -148,13 +153,13 @@ fn six_inertial_sensors_report_rotations_and_forces() {
     assert_eq!(heard, 6 * (result.frames + 1));
 }
 
-const SIX: [Role; 6] = [
-    Role::LeftWrist,
-    Role::RightWrist,
-    Role::LeftKnee,
-    Role::RightKnee,
-    Role::Head,
-    Role::Waist,
+const SIX: [(Role, Joint); 6] = [
+    (Role::LeftWrist, Joint::LeftElbow),
+    (Role::RightWrist, Joint::RightElbow),
+    (Role::LeftKnee, Joint::LeftKnee),
+    (Role::RightKnee, Joint::RightKnee),
+    (Role::Head, Joint::Head),
+    (Role::Waist, Joint::Pelvis),
 ];
 
 #[test]
@@ -162,29 +167,25 @@ fn the_six_measure_what_their_bones_do() {
     let clip = clip(181, 60.0);
     let trajectory = Trajectory::new(&clip);
     let mut shown = Shown::new(&trajectory, &clip, Sensors::Imu6, Straps::Exact);
-    for role in SIX {
-        let pose = shown.pose(role, 1.5, START).unwrap();
-        let imu = shown.imu(role, 1.5).unwrap();
-        assert_eq!(pose.how, PoseHow::Inertial);
-        // What is left when gravity is taken out in the world is the body's own acceleration.
-        let accel = pose.rotation * imu.accel - Vec3::Y * 9.81;
-        assert!(accel.length() < 3.0, "{role}: {accel}");
-        let turning = pose.rotation * imu.gyro;
+    for (role, _) in SIX {
+        let bone = shown.orientation(role, 1.5, START).unwrap();
+        assert!(shown.pose(role, 1.5, START).is_none());
+        assert!(bone.accel.length() < 3.0, "{role}: {bone:?}");
+        let turning = bone.angular_velocity;
         assert!((turning.y - 0.5).abs() < 0.9, "{role}: {turning}");
     }
     // The pelvis turns at 0.5 rad/s and glides; its sensor sits 10 cm behind the joint.
-    let imu = shown.imu(Role::Waist, 1.5).unwrap();
-    assert!(imu.gyro.distance(Vec3::Y * 0.5) < 1e-4, "{}", imu.gyro);
-    let inward = -0.1 * 0.25;
-    let own = -0.1 * 1.5_f32.sin();
-    let turned = Quat::from_rotation_y(-0.75) * Vec3::new(own, 0.0, 0.0);
-    let expected = turned + Vec3::new(0.0, 9.81, inward);
+    let bone = shown.orientation(Role::Waist, 1.5, START).unwrap();
+    let turning = bone.angular_velocity;
+    assert!(turning.distance(Vec3::Y * 0.5) < 1e-4, "{turning}");
+    let inward = Quat::from_rotation_y(0.75) * Vec3::new(0.0, 0.0, -0.1 * 0.25);
+    let expected = inward - Vec3::X * (0.1 * 1.5_f32.sin());
     assert!(
-        imu.accel.distance(expected) < 2e-3,
+        bone.accel.distance(expected) < 2e-3,
         "{} {expected}",
-        imu.accel
+        bone.accel
     );
-    assert!(shown.imu(Role::LeftHand, 1.5).is_none());
+    assert!(shown.orientation(Role::LeftHand, 1.5, START).is_none());
 }
 
 #[test]
@@ -193,14 +194,13 @@ fn worn_straps_are_a_little_off_and_the_same_every_time() {
     let trajectory = Trajectory::new(&clip);
     let [mut exact, mut worn, mut again] = [Straps::Exact, Straps::Worn, Straps::Worn]
         .map(|straps| Shown::new(&trajectory, &clip, Sensors::Imu6, straps));
-    for role in SIX {
-        let poses = [&exact, &worn, &again].map(|shown| shown.pose(role, 2.0, START).unwrap());
-        assert_eq!(poses[1], poses[2]);
-        let off = poses[0].rotation.angle_between(poses[1].rotation);
+    for (role, _) in SIX {
+        let [exact, worn, again] = [&mut exact, &mut worn, &mut again]
+            .map(|shown| shown.orientation(role, 2.0, START).unwrap());
+        assert_eq!(worn, again);
+        let off = exact.rotation.angle_between(worn.rotation);
         assert!((0.005..0.16).contains(&off), "{role}: {off}");
-        let imus = [&mut exact, &mut worn, &mut again].map(|shown| shown.imu(role, 2.0).unwrap());
-        assert_eq!(imus[1], imus[2]);
-        let apart = (poses[0].rotation * imus[0].accel).distance(poses[1].rotation * imus[1].accel);
+        let apart = exact.accel.distance(worn.accel);
         assert!((1e-3..1.0).contains(&apart), "{role}: {apart}");
     }
 }

@@ -10,7 +10,7 @@ use serde::Deserialize;
 use super::{features::Builder, *};
 use crate::{
     inference::shared_runtime,
-    tracker::{Quality, Wearer},
+    tracker::{NO_INERTIAL, Quality, Wearer},
 };
 
 /// An untrained network of the smallest size, and what PyTorch makes of a made-up motion with it;
@@ -186,6 +186,7 @@ impl Stage {
         let input = Input {
             target,
             parts: &self.parts,
+            inertial: &NO_INERTIAL,
             wearer: &self.wearer,
         };
         let tracked = self.tracker.track(&input);

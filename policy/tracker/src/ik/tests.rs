@@ -4,7 +4,10 @@ use posed_signal::{Lookup, Pose, PoseHow};
 use proptest::prelude::*;
 
 use super::*;
-use crate::{geometry::BEND_MAX, tracker::Wearer};
+use crate::{
+    geometry::BEND_MAX,
+    tracker::{NO_INERTIAL, Wearer},
+};
 
 const HANDS: [Role; 2] = [Role::LeftHand, Role::RightHand];
 
@@ -76,6 +79,7 @@ impl Stage {
         self.ik.track(&Input {
             target,
             parts: &self.parts,
+            inertial: &NO_INERTIAL,
             wearer: &self.wearer,
         })
     }

@@ -24,7 +24,7 @@ impl Emit for Tracked {
         match sample {
             Sample::Imu(imu) => self.imu.push(imu),
             Sample::Pose(pose) => self.poses.push(pose),
-            Sample::Buttons(_) | Sample::Battery(_) => {}
+            _ => {}
         }
     }
 }

@@ -4,8 +4,8 @@
 //! who ticks it: a real-time thread, a replay that steps time, or a test.
 
 use posed_signal::{
-    Clock, DeviceId, History, HostTime, Lookup, Motion, Orientation, Pose, Role, Sample, device::DEVICES_MAX,
-    latest::Reader, ring::Consumer,
+    Clock, DeviceId, History, HostTime, Lookup, Motion, Orientation, Pose, Role, Sample,
+    device::DEVICES_MAX, latest::Reader, ring::Consumer,
 };
 use posed_tracker::{
     Input, Tracked, Tracker, TrackerKind, Wearer, ik::Ik, sensors::Mounts, tracker::NO_INERTIAL,

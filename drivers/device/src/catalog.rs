@@ -4,7 +4,9 @@ use std::fmt::Write as _;
 
 use crate::{
     decode::Decoder,
+    joycon,
     lighthouse::{self, ImuClass, Variant},
+    slimevr,
     usb::{Packet, Transfer, UsbId},
 };
 
@@ -55,6 +57,12 @@ pub struct Entry {
 const VALVE: u16 = 0x28de;
 /// HTC's vendor id.
 const HTC: u16 = 0x0bb4;
+
+/// The vendor id that pid.codes gives to open-source projects.
+const OPEN_SOURCE: u16 = 0x1209;
+
+/// Nintendo's vendor id.
+const NINTENDO: u16 = 0x057e;
 
 const fn shape(endpoint: u8, report: u8, bytes: usize) -> Shape {
     Shape {
@@ -117,6 +125,33 @@ pub static CATALOG: &[Entry] = &[
         endpoints: &[0x81],
         shapes: &[shape(0x81, 0x03, 64)],
         make: |settings| lighthouse::decoder(Variant::Mainboard, &settings.lighthouse),
+    },
+    Entry {
+        name: "SlimeVR receiver, or SlimeVR tracker on a cable",
+        ids: &[
+            UsbId::new(OPEN_SOURCE, 0x7690),
+            UsbId::new(OPEN_SOURCE, 0x7692),
+        ],
+        access: Access::Hidraw,
+        endpoints: &[0x81],
+        shapes: &[],
+        make: |_| slimevr::decoder(),
+    },
+    Entry {
+        name: "Joy-Con or Pro Controller",
+        ids: &[
+            UsbId::new(NINTENDO, 0x2006),
+            UsbId::new(NINTENDO, 0x2007),
+            UsbId::new(NINTENDO, 0x2009),
+        ],
+        access: Access::Hidraw,
+        endpoints: &[0x81],
+        shapes: &[
+            shape(0x81, 0x21, 49),
+            shape(0x81, 0x30, 49),
+            shape(0x81, 0x3f, 12),
+        ],
+        make: |_| joycon::decoder(),
     },
 ];
 

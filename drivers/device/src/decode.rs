@@ -73,6 +73,13 @@ pub enum Command {
         /// Bytes to ask for, report id included.
         length: u16,
     },
+    /// An output report; it comes back as the interrupt [`Packet`] that a capture would hold.
+    Output {
+        /// Interface number.
+        interface: u8,
+        /// Report id and data.
+        data: Vec<u8>,
+    },
 }
 
 /// A decoder of one USB device: a state machine without I/O.

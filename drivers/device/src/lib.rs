@@ -8,8 +8,11 @@
 pub mod capture;
 pub mod catalog;
 pub mod decode;
+pub mod fusion;
+pub mod joycon;
 pub mod lighthouse;
 pub mod rig;
 pub mod simulate;
+pub mod slimevr;
 pub mod transport;
 pub mod usb;

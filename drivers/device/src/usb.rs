@@ -66,6 +66,8 @@ impl Setup {
     pub const HID_SET_REPORT: u8 = 0x09;
     /// Device descriptor, in the high byte of `wValue`.
     pub const DESCRIPTOR_DEVICE: u8 = 1;
+    /// HID output report, in the high byte of `wValue`.
+    pub const REPORT_OUTPUT: u8 = 2;
     /// HID feature report, in the high byte of `wValue`.
     pub const REPORT_FEATURE: u8 = 3;
 

@@ -73,8 +73,8 @@ mod tests {
     use posed_signal::{HostTime, Lookup, Pose, PoseHow, Role};
 
     use super::*;
-    use crate::tracker::NO_INERTIAL;
     use crate::Ik;
+    use crate::tracker::NO_INERTIAL;
 
     #[test]
     fn somebody_who_stands_weighs_on_the_floor() {

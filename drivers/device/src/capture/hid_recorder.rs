@@ -1,6 +1,8 @@
 //! hid-recorder's text (hid-tools, `hid-recorder(1)`): `I: bus vendor product` names the device,
 //! each `E: seconds.microseconds length bytes...` is a report, `D: n` says whose lines follow.
 //!
+//! Lines of [`joy_trace`] are taken for what they are wherever they stand.
+//!
 //! The text has no place for ports, endpoints and control transfers. posed's own recordings put
 //! port and endpoint into the `P:` line, as the kernel does with a path of its own, and control
 //! transfers into comments, which other readers skip: see [`super::HidRecorderWriter`].
@@ -13,7 +15,7 @@ use std::{
 use posed_signal::{HostTime, time::SECOND_NS};
 
 use super::{
-    Warning,
+    Warning, joy_trace,
     pairing::Pairing,
     reader::Found,
     records::Step,
@@ -58,6 +60,7 @@ impl<'a> HidRecorder<'a> {
             .take_while(|byte| byte.is_ascii_whitespace())
             .count();
         match text[start..] {
+            ref line if joy_trace::recognises(line) => true,
             [b'#', ..] => !text[start..].contains(&0),
             [b'D' | b'R' | b'N' | b'P' | b'I' | b'E', b':', next, ..] => next.is_ascii_whitespace(),
             _ => false,
@@ -132,6 +135,9 @@ impl<'a> HidRecorder<'a> {
         let line = line.trim();
         if let Some(rest) = line.strip_prefix(CONTROL_PREFIX) {
             return control(rest).ok_or(BadLine);
+        }
+        if joy_trace::recognises(line.as_bytes()) {
+            return joy_trace::line(line).ok_or(BadLine);
         }
         let Some((prefix, rest)) = line.split_once(':') else {
             return Ok(Found::default());

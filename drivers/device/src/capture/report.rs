@@ -11,7 +11,7 @@ pub enum CaptureError {
     /// Nothing that is known begins like this.
     #[error(
         "no capture format begins with the bytes {first}; posed reads pcap and pcapng files with \
-         usbmon or USBPcap records, and hid-recorder text, each also gzip'd"
+         usbmon or USBPcap records, hid-recorder text and traces of joy, each also gzip'd"
     )]
     Unknown {
         /// The first bytes, in hexadecimal.

@@ -20,6 +20,7 @@ mod options;
 mod queue;
 mod random;
 mod rotor;
+pub mod slimevr;
 mod startup;
 mod stations;
 mod unit;

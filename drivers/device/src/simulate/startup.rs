@@ -75,7 +75,7 @@ fn start_commands(model: Model) -> &'static [&'static [u8]] {
     }
 }
 
-fn get_descriptor() -> Setup {
+pub(super) fn get_descriptor() -> Setup {
     Setup {
         request_type: 0x80,
         request: Setup::GET_DESCRIPTOR,
@@ -106,7 +106,7 @@ fn set_feature(report: &[u8]) -> Setup {
 }
 
 /// A device descriptor (USB 2.0, 9.6.1).
-fn device_descriptor(id: UsbId) -> Vec<u8> {
+pub(super) fn device_descriptor(id: UsbId) -> Vec<u8> {
     let mut bytes = vec![18, 1, 0x00, 0x02, 0, 0, 0, 64];
     bytes.extend(id.vendor.to_le_bytes());
     bytes.extend(id.product.to_le_bytes());

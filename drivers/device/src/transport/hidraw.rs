@@ -246,6 +246,11 @@ impl Control for Interfaces {
             .map_err(io::Error::other)
     }
 
+    fn output(&mut self, interface: u8, data: &[u8]) -> io::Result<()> {
+        let written = self.get(interface)?.write(data);
+        written.map(|_| ()).map_err(io::Error::other)
+    }
+
     fn get_feature(&mut self, interface: u8, data: &mut [u8]) -> io::Result<usize> {
         self.get(interface)?
             .get_feature_report(data)

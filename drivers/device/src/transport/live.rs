@@ -285,20 +285,26 @@ fn run_commands(
     refused: &AtomicU64,
 ) {
     for command in commands {
-        let Ok((setup, data)) = run_command(control.as_mut(), command) else {
+        let Ok((transfer, data)) = run_command(control.as_mut(), command) else {
             refused.fetch_add(1, Ordering::Relaxed);
             continue;
         };
-        let endpoint = setup.request_type & 0x80;
-        let message = line.packet(endpoint, Transfer::Control(setup), data);
+        let endpoint = match transfer {
+            Transfer::Control(setup) => setup.request_type & 0x80,
+            _ => OUTPUT_ENDPOINT,
+        };
+        let message = line.packet(endpoint, transfer, data);
         if line.messages.send(message).is_err() {
             return;
         }
     }
 }
 
-/// Makes a control transfer; returns it as a capture would hold it.
-fn run_command(control: &mut dyn Control, command: Command) -> io::Result<(Setup, Vec<u8>)> {
+/// Output reports are shown as if they had gone to this endpoint, whichever way they went.
+const OUTPUT_ENDPOINT: u8 = 0x01;
+
+/// Makes a transfer; returns it as a capture would hold it.
+fn run_command(control: &mut dyn Control, command: Command) -> io::Result<(Transfer, Vec<u8>)> {
     let feature = |id: u8| u16::from(Setup::REPORT_FEATURE) << 8 | u16::from(id);
     match command {
         Command::SetFeature { interface, data } => {
@@ -310,7 +316,11 @@ fn run_command(control: &mut dyn Control, command: Command) -> io::Result<(Setup
                 index: u16::from(interface),
                 length: data.len() as u16,
             };
-            Ok((setup, data))
+            Ok((Transfer::Control(setup), data))
+        }
+        Command::Output { interface, data } => {
+            control.output(interface, &data)?;
+            Ok((Transfer::Interrupt, data))
         }
         Command::GetFeature {
             interface,
@@ -328,7 +338,7 @@ fn run_command(control: &mut dyn Control, command: Command) -> io::Result<(Setup
                 index: u16::from(interface),
                 length,
             };
-            Ok((setup, data))
+            Ok((Transfer::Control(setup), data))
         }
     }
 }

@@ -61,6 +61,12 @@ pub trait Control: Send {
     /// The device refuses or has gone.
     fn set_feature(&mut self, interface: u8, data: &[u8]) -> io::Result<()>;
 
+    /// An output report; `data` begins with the report id.
+    ///
+    /// # Errors
+    /// The device refuses or has gone.
+    fn output(&mut self, interface: u8, data: &[u8]) -> io::Result<()>;
+
     /// HID `GET_REPORT` of a feature report into `data`, whose first byte is the report id when
     /// asked and when answered; returns the answer's length.
     ///

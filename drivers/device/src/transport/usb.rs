@@ -181,21 +181,34 @@ impl InputReader for Reader {
 struct ControlPipe(Arc<DeviceHandle<Context>>);
 
 fn feature(data: &[u8]) -> u16 {
-    u16::from(Setup::REPORT_FEATURE) << 8 | u16::from(data.first().copied().unwrap_or(0))
+    report(Setup::REPORT_FEATURE, data)
 }
 
-impl Control for ControlPipe {
-    fn set_feature(&mut self, interface: u8, data: &[u8]) -> io::Result<()> {
-        let (value, index) = (feature(data), u16::from(interface));
+fn report(kind: u8, data: &[u8]) -> u16 {
+    u16::from(kind) << 8 | u16::from(data.first().copied().unwrap_or(0))
+}
+
+impl ControlPipe {
+    fn set_report(&self, interface: u8, value: u16, data: &[u8]) -> io::Result<()> {
         let result = self.0.write_control(
             0x21,
             Setup::HID_SET_REPORT,
             value,
-            index,
+            u16::from(interface),
             data,
             CONTROL_TIMEOUT,
         );
         result.map(|_| ()).map_err(io::Error::other)
+    }
+}
+
+impl Control for ControlPipe {
+    fn set_feature(&mut self, interface: u8, data: &[u8]) -> io::Result<()> {
+        self.set_report(interface, feature(data), data)
+    }
+
+    fn output(&mut self, interface: u8, data: &[u8]) -> io::Result<()> {
+        self.set_report(interface, report(Setup::REPORT_OUTPUT, data), data)
     }
 
     fn get_feature(&mut self, interface: u8, data: &mut [u8]) -> io::Result<usize> {

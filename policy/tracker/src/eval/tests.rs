@@ -87,7 +87,6 @@ impl Oracle<'_> {
     }
 }
 
-
 fn run_oracle(options: &Options) -> (ClipResult, usize, usize) {
     let clip = clip(181, 60.0);
     let trajectory = Trajectory::new(&clip);

@@ -101,6 +101,11 @@ impl Control for Bench {
         Ok(())
     }
 
+    fn output(&mut self, _interface: u8, data: &[u8]) -> io::Result<()> {
+        self.0.lock().unwrap().features.push(data.to_vec());
+        Ok(())
+    }
+
     fn get_feature(&mut self, _interface: u8, data: &mut [u8]) -> io::Result<usize> {
         if data[0] == 0xee {
             return Err(io::ErrorKind::BrokenPipe.into());

@@ -3,16 +3,20 @@
 //! and how the simulated character takes random torques on every scene.
 //!
 //! `cargo run --release -p posed-body --example figures -- <folder of motion sets> <what>
-//! [every nth clip]`, where `<what>` is `retarget`, `clean`, `noise`, `qp` or `drop`.
+//! [every nth clip] [split]`, where `<what>` is `retarget`, `clean`, `noise`, `qp` or `drop`; or
+//! `figures <file> tracked`, with what `posed eval --dump` wrote: the optimiser on the poses of a
+//! tracker.
 
 #[path = "../tests/qp_oracle/mod.rs"]
 mod qp_oracle;
 
+use std::fmt;
 use std::fs::File;
 use std::path::Path;
 use std::time::Instant;
 
 use glam::{Quat, Vec3};
+use npyz::npz::NpzArchive;
 use posed_body::character::{Character, HINGES, average_mass};
 use posed_body::motion::{Clip, MotionSet};
 use posed_body::optimiser::{Optimiser, Outcome, Reference, Settings};
@@ -20,7 +24,8 @@ use posed_body::qp::{Solver, Status};
 use posed_body::retarget::Retarget;
 use posed_body::scene::{Ground, Object, Scene};
 use posed_body::simulation::{Model, Step};
-use posed_body::{BodyPose, JOINTS, Joint};
+use posed_body::skeleton::PARENTS;
+use posed_body::{BodyPose, JOINTS, Joint, Skeleton};
 use qp_oracle::{Verdict, judge};
 
 const SETS: [(&str, &str); 8] = [
@@ -39,18 +44,30 @@ type Places = Vec<[Vec3; JOINTS]>;
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     let [folder, what, ..] = arguments.as_slice() else {
-        return Err("usage: figures <folder of motion sets> <what> [every nth clip]".into());
+        return Err(
+            "usage: figures <folder of motion sets> <what> [every nth clip] [split]".into(),
+        );
     };
     let every = arguments.get(2).map_or(Ok(1), |n| n.parse())?;
-    if what == "drop" {
-        return drop_on_scenes();
+    match what.as_str() {
+        "drop" => return drop_on_scenes(),
+        "tracked" => {
+            optimise(folder, &tracked(Path::new(folder), every)?);
+            return Ok(());
+        }
+        _ => {}
     }
+    let mut noise = Noise(1);
     for (set, split) in SETS {
+        let split = arguments.get(3).map_or(split, String::as_str);
         let clips = clips(&Path::new(folder).join(format!("{set}.npz")), split, every)?;
+        if clips.is_empty() {
+            continue;
+        }
         match what.as_str() {
             "retarget" => retarget(set, &clips),
-            "clean" => optimise(set, &clips, false),
-            "noise" => optimise(set, &clips, true),
+            "clean" => optimise(set, &streams(&clips, BodyPose::clone)),
+            "noise" => optimise(set, &streams(&clips, |pose| noise.disturb(pose))),
             "qp" => compare_solvers(set, &clips),
             _ => return Err(format!("there is nothing called {what}").into()),
         }
@@ -151,25 +168,100 @@ impl Noise {
     }
 }
 
-fn optimiser(clip: &Clip) -> Optimiser {
-    let mass = average_mass(f64::from(clip.skeleton.stature()));
-    Optimiser::new(&clip.skeleton, mass, 1.0 / 60.0, Settings::default())
+fn optimiser(skeleton: &Skeleton) -> Optimiser {
+    let mass = average_mass(f64::from(skeleton.stature()));
+    Optimiser::new(skeleton, mass, 1.0 / 60.0, Settings::default())
 }
 
-fn optimise(set: &str, clips: &[Clip], noisy: bool) {
-    let mut noise = Noise(1);
-    let (mut error, mut given) = (Mean::default(), Mean::default());
+/// A true motion and what a tracker made of it.
+struct Stream {
+    skeleton: Skeleton,
+    truth: Vec<BodyPose>,
+    shown: Vec<BodyPose>,
+}
+
+fn streams(clips: &[Clip], mut shown: impl FnMut(&BodyPose) -> BodyPose) -> Vec<Stream> {
+    let stream = |clip: &Clip| Stream {
+        skeleton: clip.skeleton,
+        truth: clip.frames.clone(),
+        shown: clip.frames.iter().map(&mut shown).collect(),
+    };
+    clips.iter().map(stream).collect()
+}
+
+/// Reads what `posed eval --dump` wrote.
+fn tracked(path: &Path, every: usize) -> Result<Vec<Stream>, Box<dyn std::error::Error>> {
+    let mut archive = NpzArchive::open(path)?;
+    let suffix = "/true_joints";
+    let mut names: Vec<String> = archive
+        .array_names()
+        .filter_map(|name| Some(name.strip_suffix(suffix)?.to_owned()))
+        .collect();
+    names.sort();
+    let mut streams = Vec::new();
+    for name in names.iter().step_by(every) {
+        let mut numbers = |kind: &str| -> Result<Vec<f32>, Box<dyn std::error::Error>> {
+            let array = archive.by_name(&format!("{name}/{kind}"))?;
+            Ok(array.ok_or("an array is missing")?.into_vec()?)
+        };
+        let joints = numbers("true_joints")?;
+        let truth = poses(&joints, &numbers("true_rotations")?);
+        let shown = poses(
+            &numbers("predicted_joints")?,
+            &numbers("predicted_rotations")?,
+        );
+        let skeleton = skeleton_of(&joints[..3 * JOINTS], &truth[0]);
+        streams.push(Stream {
+            skeleton,
+            truth,
+            shown,
+        });
+    }
+    Ok(streams)
+}
+
+/// Poses from all joints' positions and local rotations.
+fn poses(joints: &[f32], rotations: &[f32]) -> Vec<BodyPose> {
+    let frames = joints.chunks(3 * JOINTS).zip(rotations.chunks(4 * JOINTS));
+    frames
+        .map(|(joints, rotations)| BodyPose {
+            root: Vec3::from_slice(joints),
+            rotations: std::array::from_fn(|joint| {
+                Quat::from_slice(&rotations[4 * joint..]).normalize()
+            }),
+        })
+        .collect()
+}
+
+/// The bones of somebody whose joints are here in this pose.
+fn skeleton_of(joints: &[f32], pose: &BodyPose) -> Skeleton {
+    let mut skeleton = Skeleton::of_height(1.7);
+    let turns = skeleton.forward(pose).rotations;
+    let place = |joint: usize| Vec3::from_slice(&joints[3 * joint..]);
+    for (joint, parent) in PARENTS.iter().enumerate() {
+        if let Some(parent) = *parent {
+            skeleton.offsets[joint] = turns[parent].inverse() * (place(joint) - place(parent));
+        }
+    }
+    skeleton
+}
+
+fn optimise(set: &str, streams: &[Stream]) {
+    let (mut error, mut given) = (Errors::default(), Errors::default());
     let (mut jitter, mut jitter_true, mut jitter_given) =
         (Mean::default(), Mean::default(), Mean::default());
-    let (mut skate, mut skate_true) = (Mean::default(), Mean::default());
+    let (mut skate, mut skate_true, mut skate_given) =
+        (Skate::default(), Skate::default(), Skate::default());
     let (mut deepest, mut times, mut not_full) = (0.0_f32, Vec::new(), 0);
-    for clip in clips {
-        let mut optimiser = optimiser(clip);
-        let (mut truth, mut input, mut output) = (Places::new(), Places::new(), Places::new());
-        for pose in &clip.frames {
-            let shown = if noisy { noise.disturb(pose) } else { *pose };
+    for stream in streams {
+        let mut optimiser = optimiser(&stream.skeleton);
+        let places = |pose: &BodyPose| stream.skeleton.forward(pose).positions;
+        let truth: Places = stream.truth.iter().map(places).collect();
+        let input: Places = stream.shown.iter().map(places).collect();
+        let mut output = Places::new();
+        for pose in &stream.shown {
             let reference = Reference {
-                pose: &shown,
+                pose,
                 velocities: None,
                 contacts: None,
             };
@@ -177,45 +269,63 @@ fn optimise(set: &str, clips: &[Clip], noisy: bool) {
             let solved = optimiser.step(&reference, &Ground::Flat);
             times.push(started.elapsed().as_secs_f64() * 1e3);
             not_full += usize::from(solved.outcome != Outcome::Full);
-            truth.push(clip.skeleton.forward(pose).positions);
-            input.push(clip.skeleton.forward(&shown).positions);
-            output.push(clip.skeleton.forward(&solved.pose).positions);
+            output.push(places(&solved.pose));
         }
-        add_error(&mut error, &output, &truth);
-        add_error(&mut given, &input, &truth);
+        error.add(&output, &truth);
+        given.add(&input, &truth);
         add_jitter(&mut jitter, &output);
         add_jitter(&mut jitter_true, &truth);
         add_jitter(&mut jitter_given, &input);
-        add_skate(&mut skate, &output, &truth);
-        add_skate(&mut skate_true, &truth, &truth);
+        skate.add(&output, &truth);
+        skate_true.add(&truth, &truth);
+        skate_given.add(&input, &truth);
         let lowest = output.iter().flatten().map(|p| p.y).fold(0.0, f32::min);
         deepest = deepest.max(-lowest);
     }
     times.sort_by(f64::total_cmp);
     println!(
-        "{set}: {} ticks ({not_full} not in full); MPJPE root-aligned {:.3} cm (given {:.3}); jitter \
-         {:.4} km/s³ (true {:.4}, given {:.4}); skate {:.4} cm (true {:.4}); deepest {:.1} mm; \
-         whole tick median {:.3} ms, p99 {:.3} ms",
+        "{set}: {} ticks ({not_full} not in full); MPJPE cm {error} (given {given}); jitter \
+         {:.4} km/s³ (true {:.4}, given {:.4}); skate {skate} (true {skate_true}, given \
+         {skate_given}); deepest {:.1} mm; whole tick median {:.3} ms, p99 {:.3} ms",
         times.len(),
-        100.0 * error.get(),
-        100.0 * given.get(),
         jitter.get(),
         jitter_true.get(),
         jitter_given.get(),
-        100.0 * skate.get(),
-        100.0 * skate_true.get(),
         1000.0 * deepest,
         times[times.len() / 2],
         times[times.len() * 99 / 100],
     );
 }
 
-fn add_error(mean: &mut Mean, places: &Places, truth: &Places) {
-    for (a, b) in places.iter().zip(truth) {
-        let shift = b[0] - a[0];
-        for joint in 0..JOINTS {
-            mean.add(f64::from((a[joint] + shift).distance(b[joint])));
+/// Mean distances of the joints, metres: in the world, and with one joint brought together.
+#[derive(Default)]
+struct Errors {
+    world: Mean,
+    head: Mean,
+    root: Mean,
+}
+
+impl Errors {
+    fn add(&mut self, places: &Places, truth: &Places) {
+        for (a, b) in places.iter().zip(truth) {
+            let head = Joint::Head as usize;
+            for (mean, shift) in [
+                (&mut self.world, Vec3::ZERO),
+                (&mut self.head, b[head] - a[head]),
+                (&mut self.root, b[0] - a[0]),
+            ] {
+                for joint in 0..JOINTS {
+                    mean.add(f64::from((a[joint] + shift).distance(b[joint])));
+                }
+            }
         }
+    }
+}
+
+impl fmt::Display for Errors {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let [world, head, root] = [self.world, self.head, self.root].map(|m| 100.0 * m.get());
+        write!(f, "world {world:.3}, head {head:.3}, root {root:.3}")
     }
 }
 
@@ -229,22 +339,46 @@ fn add_jitter(mean: &mut Mean, places: &Places) {
     }
 }
 
-/// AvatarJLM's: how far ankles and toes move along each axis, metres a frame, while the true ones
-/// move less than a centimetre.
-fn add_skate(mean: &mut Mean, places: &Places, truth: &Places) {
-    for (p, t) in places.windows(2).zip(truth.windows(2)) {
-        for joint in [
-            Joint::LeftAnkle,
-            Joint::RightAnkle,
-            Joint::LeftFoot,
-            Joint::RightFoot,
-        ] {
-            let joint = joint as usize;
-            if t[0][joint].distance(t[1][joint]) <= 0.01 {
+/// How far ankles and toes move while the true ones move at most a centimetre a frame.
+#[derive(Default)]
+struct Skate {
+    /// AvatarJLM's: along each axis, over all frames, metres a frame.
+    components: Mean,
+    /// Level speed over those frames alone, metres a frame.
+    slide: Mean,
+}
+
+impl Skate {
+    fn add(&mut self, places: &Places, truth: &Places) {
+        for (p, t) in places.windows(2).zip(truth.windows(2)) {
+            for joint in [
+                Joint::LeftAnkle,
+                Joint::RightAnkle,
+                Joint::LeftFoot,
+                Joint::RightFoot,
+            ] {
+                let joint = joint as usize;
+                if t[0][joint].distance(t[1][joint]) > 0.01 {
+                    self.components.add(0.0);
+                    continue;
+                }
                 let moved = (p[1][joint] - p[0][joint]).abs();
-                mean.add(f64::from(moved.element_sum()) / 3.0);
+                self.components.add(f64::from(moved.element_sum()) / 3.0);
+                self.slide.add(f64::from(moved.x.hypot(moved.z)));
             }
         }
+    }
+}
+
+impl fmt::Display for Skate {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let (components, slide) = (self.components.get(), self.slide.get());
+        write!(
+            f,
+            "{:.4} cm, {:.2} cm/s",
+            100.0 * components,
+            6000.0 * slide
+        )
     }
 }
 
@@ -254,7 +388,7 @@ fn compare_solvers(set: &str, clips: &[Clip]) {
     let (mut ticks, mut solver) = (0, Solver::new(0, 0));
     let mut times = Vec::new();
     for clip in clips {
-        let mut optimiser = optimiser(clip);
+        let mut optimiser = optimiser(&clip.skeleton);
         for pose in &clip.frames {
             ticks += 1;
             // Every other problem from noisy motion, where more constraints are active.

@@ -298,6 +298,35 @@ fn velocities_alone_carry_the_body_along() {
 }
 
 #[test]
+fn standing_feet_stay_where_the_reference_slides() {
+    let skeleton = Skeleton::of_height(1.75);
+    let mut pose = standing(&skeleton, 0.035);
+    let mut optimiser = optimiser(&skeleton);
+    let toe = |pose: &BodyPose| skeleton.forward(pose).position(Joint::LeftFoot);
+    let mut path = Vec::new();
+    for tick in 0..90 {
+        if (30..60).contains(&tick) {
+            pose.root.z -= 0.08 / 60.0;
+        }
+        let solved = optimiser.step(&reference(&pose), &Ground::Flat);
+        path.push((toe(&solved.pose), solved.pose.root));
+    }
+    let (moved, followed) = (path[89].0 - path[29].0, path[89].1 - path[29].1);
+    assert!(moved.length() < 0.005, "{moved}");
+    assert!((followed.z + 0.04).abs() < 0.01, "{followed}");
+    // Further than the leash they go along in the end.
+    for _ in 0..180 {
+        pose.root.z -= 0.1 / 60.0;
+        path.push((
+            toe(&optimiser.step(&reference(&pose), &Ground::Flat).pose),
+            pose.root,
+        ));
+    }
+    let moved = path[269].0 - path[29].0;
+    assert!((-0.34..-0.2).contains(&moved.z), "{moved}");
+}
+
+#[test]
 fn feet_follow_the_ground() {
     let skeleton = Skeleton::of_height(1.75);
     let pose = standing(&skeleton, 0.035);

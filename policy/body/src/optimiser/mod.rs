@@ -14,6 +14,7 @@
 mod contact;
 mod dynamics;
 mod output;
+mod plant;
 mod problem;
 mod smoother;
 mod tree;
@@ -30,6 +31,7 @@ use crate::qp::{Problem, Solver, Status};
 use crate::scene::Ground;
 use crate::skeleton::{BodyPose, JOINTS, Skeleton};
 use contact::{FEET, POINTS_MAX};
+use plant::Plant;
 use problem::{Pattern, ROWS_MAX, UNKNOWNS_MAX, Wish};
 use smoother::difference;
 
@@ -117,6 +119,7 @@ pub struct Optimiser {
     pattern: Pattern,
     smoother: Smoother,
     feet: Feet,
+    plant: Plant,
     motion: Option<Motion>,
     /// How far the reference is lifted, metres.
     lift: f64,
@@ -140,6 +143,7 @@ impl Optimiser {
             pattern: Pattern::new(),
             smoother: Smoother::new(tick, settings.manoeuvre),
             feet: Feet::new(skeleton),
+            plant: Plant::default(),
             motion: None,
             lift: 0.0,
             equation: Equation::default(),
@@ -156,6 +160,7 @@ impl Optimiser {
     pub fn reset(&mut self) {
         self.smoother.reset();
         self.feet.reset();
+        self.plant.reset();
         self.motion = None;
         self.lift = 0.0;
         self.guess.clear();
@@ -195,9 +200,14 @@ impl Optimiser {
             let target = self.smoother.update(reference.pose);
             return self.start(target, ground);
         }
-        let wanted = Frames::new(&self.tree, &motion_of(&target));
+        let mut wanted = Frames::new(&self.tree, &motion_of(&target));
         self.feet
             .update(reference.contacts, &wanted, ground, self.tick);
+        if velocities.is_none() {
+            let standing = self.feet.probabilities;
+            self.plant.apply(&mut target, &wanted, standing, self.tick);
+            wanted = Frames::new(&self.tree, &motion_of(&target));
+        }
         let frames = Frames::new(&self.tree, &motion);
         self.equation.update(&self.tree, &frames);
         let wish = self.wish(&motion, &frames, &target, &wanted, velocities);

@@ -174,6 +174,7 @@ impl Inspection {
 impl Found {
     fn json(&self, port: Port) -> Value {
         let report = self.inspector.report();
+        let out_of_slot_order = report.imu_samples_out_of_slot_order();
         let configuration = report
             .configuration
             .as_deref()
@@ -187,8 +188,9 @@ impl Found {
             "packets": report.packets,
             "errors": report.errors,
             "first_error": report.first_error,
-            "imu_samples": report.imu_samples,
-            "imu_samples_in_slot_order": report.imu_samples_in_slot_order,
+            // Published counts leave out what lies out of slot order; the tracker uses both.
+            "imu_samples": report.imu_samples - out_of_slot_order,
+            "imu_samples_out_of_slot_order": out_of_slot_order,
             "median_accel_lsb": report.median_accel_lsb,
             "median_accel_g": report.median_accel_g,
             "clock_mhz": report.clock_hz.map(|hz| hz * 1e-6),
@@ -220,7 +222,12 @@ impl Found {
         }
         let _ = writeln!(text);
         if report.imu_samples > 0 {
-            let _ = write!(text, "  inertial: {} samples", report.imu_samples);
+            let out_of_slot_order = report.imu_samples_out_of_slot_order();
+            let in_order = report.imu_samples - out_of_slot_order;
+            let _ = write!(text, "  inertial: {in_order} samples");
+            if out_of_slot_order > 0 {
+                let _ = write!(text, " and {out_of_slot_order} out of slot order");
+            }
             if let Some(g) = report.median_accel_g {
                 let _ = write!(text, ", median |a| {g:.4} g");
             }

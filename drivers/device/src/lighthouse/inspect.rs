@@ -71,6 +71,18 @@ pub struct Report {
     pub battery: Option<(u8, bool)>,
 }
 
+impl Report {
+    /// How many of the inertial samples of a wired device lay out of their report's slot order;
+    /// zero for radio devices, whose packets hold one sample.
+    #[must_use]
+    pub fn imu_samples_out_of_slot_order(&self) -> u64 {
+        match self.imu_samples_in_slot_order {
+            0 => 0,
+            in_order => self.imu_samples.saturating_sub(in_order),
+        }
+    }
+}
+
 /// Counts the packets of one USB device.
 #[derive(Debug, Clone)]
 pub struct Inspector {

@@ -99,6 +99,7 @@ fn the_index_headset_is_inspected() {
     // SOURCES.md counts slot by slot; where a report has its newest sample first that loses two.
     assert_eq!(report.imu_samples_in_slot_order, 19_239);
     assert_eq!(report.imu_samples, 19_409);
+    assert_eq!(report.imu_samples_out_of_slot_order(), 170);
     assert!((report.median_accel_g.unwrap() - 1.002).abs() < 0.005);
     assert!((report.clock_hz.unwrap() / 48e6 - 1.0).abs() < 1e-3);
     assert_eq!(report.sweeps, 37_929);

@@ -37,6 +37,7 @@ test: native
 
 bench: native
 	cargo bench --locked -p posed-tests
+	cargo bench --locked -p posed-tracker --bench frame
 
 lint: native
 	cargo fmt --all --check

@@ -54,6 +54,9 @@ pub struct BodyArgs {
     /// Which tracker works out the body; the configured one where this is left out.
     #[arg(long, value_parser = parse_tracker)]
     pub tracker: Option<posed_tracker::TrackerKind>,
+    /// Let physics have the last word: gravity, the floor, and feet that stand stay.
+    #[arg(long)]
+    pub physics: bool,
     /// The wearer's height in metres.
     #[arg(long, value_name = "METRES", value_parser = parse_height)]
     pub height: Option<f32>,
@@ -226,6 +229,25 @@ pub struct EvalArgs {
     /// Let the physics optimiser have the last word.
     #[arg(long)]
     pub physics: bool,
+    /// Another model (ONNX) than the built-in one, with the same inputs and outputs.
+    #[arg(long, value_name = "FILE")]
+    pub model: Option<PathBuf>,
+    /// Leave a network's answer as it is: hung from the head, not moved to meet the hands.
+    #[arg(long)]
+    pub unrefined: bool,
+    /// Ask a network only once, not of the mirror image as well.
+    #[arg(long)]
+    pub unmirrored: bool,
+    /// Go the whole way through USB traffic of simulated devices, and compare with ideal sensors.
+    #[arg(long, conflicts_with_all = ["lookahead", "dump", "plot"])]
+    pub usb: bool,
+    /// Join clips into one input of so many minutes, with hands that come and go, and compare
+    /// with a tracker that is reset at every clip.
+    #[arg(long, value_name = "MINUTES", conflicts_with_all = ["usb", "lookahead", "dump", "plot"])]
+    pub continuous: Option<f64>,
+    /// Only every so many clips.
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..))]
+    pub every: u32,
     /// Ticks by which the answer may lag the newest sample.
     #[arg(long, value_name = "N", default_value_t = 0)]
     pub lookahead: u32,

@@ -37,8 +37,22 @@ impl Models {
             return Ok(None);
         }
         let options = hmd_nemo::Options::default();
-        let tracker = HmdNemo::load(&self.runtime, "hmd_nemo_small.onnx", HMD_NEMO, options)?;
+        let tracker = self.hmd_nemo(None, options)?;
         Ok(Some(Box::new(tracker)))
+    }
+
+    /// HMD-NeMo with these options, and with another model than the built-in one where one is
+    /// given by name and content.
+    ///
+    /// # Errors
+    /// The model does not fit this program.
+    pub fn hmd_nemo(
+        &self,
+        model: Option<(&str, &[u8])>,
+        options: hmd_nemo::Options,
+    ) -> Result<HmdNemo, InferenceError> {
+        let (name, bytes) = model.unwrap_or(("hmd_nemo_small.onnx", HMD_NEMO));
+        HmdNemo::load(&self.runtime, name, bytes, options)
     }
 }
 

@@ -4,7 +4,7 @@ use std::{fs, path::Path};
 
 use posed_device::{catalog, lighthouse, rig};
 use posed_signal::Serial;
-use posed_tracker::{Tracker, TrackerKind};
+use posed_tracker::{Ik, Physical, Tracker, TrackerKind, Wearer};
 
 use super::CommandError;
 use crate::{
@@ -29,6 +29,7 @@ pub fn configuration(args: &BodyArgs) -> Result<Config, CommandError> {
     if let Some(rate) = args.rate {
         config.tracker.rate_hz = rate;
     }
+    config.tracker.physics |= args.physics;
     if let Some(path) = &args.base_stations {
         config.devices.base_stations = Some(path.clone());
     }
@@ -59,7 +60,7 @@ pub fn options(config: &Config) -> Result<Options, CommandError> {
         lighthouse: lighthouse::Settings { base_stations },
     };
     Ok(Options {
-        trackers: trackers(config.tracker.name),
+        trackers: with_physics(trackers(config.tracker.name), config),
         rig: rig::Settings {
             devices,
             roles: roles.collect(),
@@ -75,6 +76,18 @@ fn base_stations(path: &Path) -> Result<Vec<lighthouse::base_station::BaseStatio
     let text = fs::read_to_string(path).map_err(|error| CommandError::file(path, error))?;
     lighthouse::base_station::parse_libsurvive(&text)
         .map_err(|error| CommandError::Input(format!("{}: {error}", path.display())))
+}
+
+/// Puts physics behind the trackers, and behind `ik` if that is what was asked for.
+fn with_physics(trackers: Vec<Box<dyn Tracker>>, config: &Config) -> Vec<Box<dyn Tracker>> {
+    if !config.tracker.physics {
+        return trackers;
+    }
+    let wearer = Wearer::of_height(config.wearer.height_m);
+    let ik = (config.tracker.name == TrackerKind::Ik).then(|| Box::new(Ik::default()) as _);
+    let physical = |inner| Physical::new(inner, &wearer, config.tracker.rate_hz);
+    let all = trackers.into_iter().chain(ik);
+    all.map(|inner| Box::new(physical(inner)) as _).collect()
 }
 
 /// The tracker asked for, unless it is `ik`, which is always there. One that cannot be had is no

@@ -64,6 +64,8 @@ pub struct Tracker {
     pub rate_hz: f64,
     /// How far ahead of the tick poses are made for, ms.
     pub prediction_ms: f64,
+    /// Whether physics has the last word.
+    pub physics: bool,
 }
 
 /// `[devices]`.
@@ -109,6 +111,7 @@ impl Default for Tracker {
             name: TrackerKind::HmdNemo,
             rate_hz: 90.0,
             prediction_ms: 0.0,
+            physics: false,
         }
     }
 }

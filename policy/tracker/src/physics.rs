@@ -11,11 +11,16 @@ use crate::tracker::{Input, Tracked, Tracker, TrackerKind, Wearer};
 /// Body mass index of the wearer whose mass is not known, kg/m²: 72 kg at 1.75 m.
 const MASS_INDEX: f64 = 23.5;
 
+fn mass_of(wearer: &Wearer) -> f64 {
+    MASS_INDEX * f64::from(wearer.height).powi(2)
+}
+
 /// A tracker, and physics behind it. Ticks have to come at the rate it was made for.
 pub struct Physical {
     inner: Box<dyn Tracker>,
     optimiser: Optimiser,
     ground: Ground,
+    wearer: Wearer,
     last: Option<Solved>,
 }
 
@@ -23,12 +28,13 @@ impl Physical {
     /// Puts physics behind `inner`, for this wearer, at `rate_hz` ticks a second on flat ground.
     #[must_use]
     pub fn new(inner: Box<dyn Tracker>, wearer: &Wearer, rate_hz: f64) -> Self {
-        let mass = MASS_INDEX * f64::from(wearer.height).powi(2);
         let settings = Settings::default();
+        let (skeleton, mass) = (&wearer.skeleton, mass_of(wearer));
         Self {
             inner,
-            optimiser: Optimiser::new(&wearer.skeleton, mass, 1.0 / rate_hz, settings),
+            optimiser: Optimiser::new(skeleton, mass, 1.0 / rate_hz, settings),
             ground: Ground::Flat,
+            wearer: *wearer,
             last: None,
         }
     }
@@ -53,10 +59,15 @@ impl Tracker for Physical {
 
     fn track(&mut self, input: &Input<'_>) -> Tracked {
         let tracked = self.inner.track(input);
+        if self.wearer != *input.wearer {
+            self.wearer = *input.wearer;
+            self.optimiser
+                .wear(&self.wearer.skeleton, mass_of(&self.wearer));
+        }
         let reference = Reference {
             pose: &tracked.pose,
             velocities: None,
-            contacts: None,
+            contacts: self.inner.contacts(),
         };
         let solved = self.optimiser.step(&reference, &self.ground);
         self.last = Some(solved);
@@ -76,14 +87,13 @@ mod tests {
     use crate::Ik;
     use crate::tracker::NO_INERTIAL;
 
-    #[test]
-    fn somebody_who_stands_weighs_on_the_floor() {
-        let wearer = Wearer::of_height(1.75);
-        let mut tracker = Physical::new(Box::new(Ik::default()), &wearer, 60.0);
+    /// Newtons on the ground under somebody who stands still from `start` ticks on, mean of two
+    /// seconds after two to settle.
+    fn weight(tracker: &mut Physical, wearer: &Wearer, start: u64) -> f64 {
         let mut parts = [Lookup::Empty; Role::COUNT];
         let mut weight = 0.0;
         for tick in 0..240u64 {
-            let at = HostTime(1_000_000_000 + tick * 16_666_667);
+            let at = HostTime(1_000_000_000 + (start + tick) * 16_666_667);
             let head = Pose {
                 position: Vec3::new(0.0, wearer.skeleton.head_height() + 0.02, 0.0),
                 how: PoseHow::Optical,
@@ -94,18 +104,29 @@ mod tests {
                 target: at,
                 parts: &parts,
                 inertial: &NO_INERTIAL,
-                wearer: &wearer,
+                wearer,
             };
             assert!(tracker.track(&input).pose.is_sound());
             if tick >= 120 {
-                weight += f64::from(tracker.solved().expect("a tick was done").ground_force.y);
+                weight +=
+                    f64::from(tracker.solved().expect("a tick was done").ground_force.y) / 120.0;
             }
         }
-        let mean = weight / 120.0;
-        let expected = MASS_INDEX * 1.75 * 1.75 * 9.81;
-        assert!(
-            (mean / expected - 1.0).abs() < 0.02,
-            "{mean} N, not {expected} N"
-        );
+        weight
+    }
+
+    #[test]
+    fn somebody_who_stands_weighs_on_the_floor() {
+        let wearer = Wearer::of_height(1.75);
+        let mut tracker = Physical::new(Box::new(Ik::default()), &wearer, 60.0);
+        // A taller one puts the headset on.
+        for (start, wearer) in [(0, wearer), (240, Wearer::of_height(1.9))] {
+            let mean = weight(&mut tracker, &wearer, start);
+            let expected = MASS_INDEX * f64::from(wearer.height).powi(2) * 9.81;
+            assert!(
+                (mean / expected - 1.0).abs() < 0.02,
+                "{mean} N, not {expected} N"
+            );
+        }
     }
 }

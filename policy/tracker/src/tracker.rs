@@ -146,4 +146,10 @@ pub trait Tracker: Send {
 
     /// The body pose at `input.target`. Target times never decrease between resets.
     fn track(&mut self, input: &Input<'_>) -> Tracked;
+
+    /// Probabilities that the left and the right foot stand in the pose given last, by a tracker
+    /// that estimates them; physics then need not guess.
+    fn contacts(&self) -> Option<[f32; 2]> {
+        None
+    }
 }

@@ -81,3 +81,31 @@ class AvatarPoser(nn.Module):
         six = torch.cat([self.orientation(last), self.body(last)], -1).unflatten(-1, (JOINTS, 6))
         out = {"six": six, "local": six_to_matrix(six)}
         return out, Window(stream[:, -(self.config.window - 1):].detach())
+
+
+class WindowStep(nn.Module):
+    """`AvatarPoser` for one frame with the inputs and outputs of HMD-NeMo's step, so that `posed
+    eval --model` takes it: the window is the state `pose`, the other states are idle, the pelvis
+    and foot contacts are not estimated."""
+
+    def __init__(self, model):
+        super().__init__()
+        self.model = model
+
+    def example_inputs(self):
+        """A first frame: zeros, both hands seen, reset."""
+        window = self.model.initial_state(1).inputs.flatten(1)
+        return (torch.zeros(1, 5, STREAM_SIZE), torch.ones(1, 2), torch.ones(1),
+                torch.zeros(5, 1, 1), torch.zeros(4, 1, 1), window, torch.zeros(1, 1))
+
+    def forward(self, features, visible, reset, streams, token, pose, trajectory):
+        model = self.model
+        now = torch.cat([features[:, :3].flatten(1), visible], -1).unsqueeze(1)
+        kept = pose.unflatten(-1, (model.config.window - 1, 3 * STREAM_SIZE + 2))
+        window = torch.cat([reset * now + (1 - reset) * kept, now], 1)
+        last = model.encoder(model.embed(window))[:, -1]
+        six = torch.cat([model.orientation(last), model.body(last)], -1)
+        local = six_to_matrix(six.unflatten(-1, (JOINTS, 6)))
+        none = visible[:, :1] * 0
+        return (local, none.expand(1, 3), none.expand(1, 4), streams * 1, token * 1,
+                window[:, 1:].flatten(1), trajectory * 1)

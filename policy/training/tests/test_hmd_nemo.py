@@ -4,10 +4,11 @@ import json
 from types import SimpleNamespace
 
 import numpy as np
+import onnxruntime
 import torch
 
-from hmd_nemo import checkpoint, export, golden
-from hmd_nemo.avatar_poser import AvatarPoser, AvatarPoserConfig
+from hmd_nemo import checkpoint, export, golden, step
+from hmd_nemo.avatar_poser import AvatarPoser, AvatarPoserConfig, WindowStep
 from hmd_nemo.features import hide, observe
 from hmd_nemo.lanes import CONTROLLERS, FIELD_OF_VIEW, HEAD_ONLY, Lanes, head_height, mirror
 from hmd_nemo.losses import losses, total
@@ -254,6 +255,25 @@ def test_onnx_equals_pytorch_with_and_without_tamt(tmp_path):
         path = tmp_path / f"m{i}.onnx"
         export.export(model, path)
         assert export.compare(model, path) < 1e-5
+
+
+def test_the_baselines_onnx_equals_pytorch(tmp_path):
+    torch.manual_seed(3)
+    model = AvatarPoser(AvatarPoserConfig(window=8, width=32, heads=2, layers=2,
+                                          feedforward=32)).eval()
+    path = tmp_path / "baseline.onnx"
+    export.export(model, path)
+    session = onnxruntime.InferenceSession(str(path), providers=["CPUExecutionProvider"])
+    features, visible = torch.randn(1, 12, 5, 15), torch.rand(1, 12, 2) > 0.3
+    with torch.no_grad():
+        expected, _ = model(features, visible, model.initial_state(1), torch.ones(1, 1).bool())
+    *_, streams, token, pose, trajectory = WindowStep(model).example_inputs()
+    state = [x.numpy() for x in (streams, token, pose, trajectory)]
+    for i in range(12):
+        feed = [features[:, i].numpy(), visible[:, i].float().numpy(),
+                np.array([float(i == 0)], np.float32), *state]
+        local, _, _, *state = session.run(step.OUTPUTS, dict(zip(step.INPUTS, feed)))
+        assert np.abs(local - expected["local"][:, i].numpy()).max() < 1e-5, i
 
 
 def test_golden_vectors_hold_what_the_contract_says(tmp_path):

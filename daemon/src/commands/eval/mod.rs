@@ -2,6 +2,8 @@
 
 mod dump;
 mod plot;
+mod source;
+mod usb;
 
 use std::{
     fs::File,
@@ -15,16 +17,16 @@ use std::{
 };
 
 use indicatif::{ProgressBar, ProgressStyle};
-use posed_body::motion::MotionSet;
+use posed_body::motion::{Clip, MotionSet};
 use posed_tracker::{
-    Ik, Physical, Tracker, TrackerKind,
-    eval::{ClipResult, Options, Report, Row, evaluate},
-    metrics::Metric,
+    eval::{ClipResult, Options, Report, Row, continuous, evaluate},
+    metrics::{Metric, Scores},
 };
 use serde_json::json;
 
 use super::CommandError;
-use crate::{cli::EvalArgs, models::Models};
+use crate::cli::EvalArgs;
+use source::Source;
 
 /// One clip of one set.
 #[derive(Debug, Clone, Copy)]
@@ -52,7 +54,18 @@ pub fn run(args: &EvalArgs) -> Result<(), CommandError> {
         lookahead: args.lookahead,
         dump: args.dump.is_some() || args.plot.is_some(),
     };
-    let results = evaluate_all(&sets, &jobs, &options, args)?;
+    let source = Source::new(args)?;
+    if let Some(minutes) = args.continuous {
+        return through(&sets, &jobs, &options, &source, args, minutes);
+    }
+    if args.usb {
+        return whole_way(&sets, &jobs, &options, &source, args);
+    }
+    let results = in_parallel(jobs.len(), args.threads, |index| {
+        let clip = read_clip(&sets, jobs[index])?;
+        let mut tracker = source.tracker(&options, &clip, args)?;
+        Ok(evaluate(&clip, &mut *tracker, &options))
+    })?;
     let report = Report::of(&results);
     if let Some(path) = &args.json {
         let value = json!({
@@ -81,34 +94,75 @@ pub fn run(args: &EvalArgs) -> Result<(), CommandError> {
     Ok(())
 }
 
-/// Where trackers come from.
-struct Source {
-    kind: TrackerKind,
-    models: Option<Models>,
+/// Joins clips into one long input and prints the error minute by minute.
+fn through(
+    sets: &[MotionSet],
+    jobs: &[Job],
+    options: &Options,
+    source: &Source,
+    args: &EvalArgs,
+    minutes: f64,
+) -> Result<(), CommandError> {
+    let first = read_clip(sets, jobs[0])?;
+    let mut trackers = [
+        source.tracker(options, &first, args)?,
+        source.tracker(options, &first, args)?,
+    ];
+    let [through, fresh] = &mut trackers;
+    // Round and round, until the time is over.
+    let clips = jobs
+        .iter()
+        .cycle()
+        .map_while(|&job| read_clip(sets, job).ok());
+    let stretches = continuous(
+        clips,
+        [&mut **through, &mut **fresh],
+        options,
+        60.0 * minutes,
+    );
+    println!("minute clips  left right  joined cm  fresh cm  unsound");
+    for (minute, stretch) in stretches.iter().enumerate() {
+        println!(
+            "{minute:>6} {:>5} {:>4.0} % {:>3.0} % {:>10.3} {:>9.3} {:>8}",
+            stretch.clips,
+            100.0 * stretch.hands_seen[0],
+            100.0 * stretch.hands_seen[1],
+            stretch.through_cm,
+            stretch.fresh_cm,
+            stretch.unsound,
+        );
+    }
+    Ok(())
 }
 
-impl Source {
-    fn new(kind: TrackerKind) -> Result<Self, CommandError> {
-        let models = match kind {
-            TrackerKind::Ik => None,
-            _ => Some(Models::load().map_err(|error| CommandError::Input(error.to_string()))?),
-        };
-        Ok(Self { kind, models })
-    }
-
-    /// A fresh tracker.
-    fn tracker(&self) -> Result<Box<dyn Tracker>, CommandError> {
-        let Some(models) = &self.models else {
-            return Ok(Box::new(Ik::default()));
-        };
-        let found = models
-            .tracker(self.kind)
-            .map_err(|error| CommandError::Input(error.to_string()))?;
-        found.ok_or_else(|| {
-            let name = self.kind.name();
-            CommandError::Input(format!("this build has no model for the tracker {name}"))
-        })
-    }
+/// Ideal sensors and USB traffic side by side.
+fn whole_way(
+    sets: &[MotionSet],
+    jobs: &[Job],
+    options: &Options,
+    source: &Source,
+    args: &EvalArgs,
+) -> Result<(), CommandError> {
+    let results = in_parallel(jobs.len(), args.threads, |index| {
+        let clip = read_clip(sets, jobs[index])?.centred();
+        if !usb::fits(&clip) {
+            return Ok(None);
+        }
+        let trackers = [
+            source.tracker(options, &clip, args)?,
+            source.tracker(options, &clip, args)?,
+        ];
+        let both = usb::both(&clip, trackers, options)
+            .map_err(|error| CommandError::Input(format!("clip {}: {error}", clip.name)))?;
+        Ok(Some(both))
+    })?;
+    let found: Vec<_> = results.iter().flatten().collect();
+    let mean =
+        |of: fn(&usb::Both) -> &ClipResult| Scores::mean(found.iter().map(|both| &of(both).scores));
+    let (ideal, usb) = (mean(|both| &both.ideal), mean(|both| &both.usb));
+    let left_out = results.len() - found.len();
+    print!("{}", usb::text(&ideal, &usb, found.len(), left_out));
+    Ok(())
 }
 
 fn read(path: &Path) -> Result<MotionSet, CommandError> {
@@ -123,7 +177,8 @@ fn jobs(sets: &[MotionSet], args: &EvalArgs) -> Result<Vec<Job>, CommandError> {
         let wanted = motion.entries().iter().enumerate().filter(|(_, entry)| {
             entry.split == args.split && args.clip.as_ref().is_none_or(|name| *name == entry.name)
         });
-        jobs.extend(wanted.map(|(clip, _)| Job { set, clip }));
+        let every = args.every as usize;
+        jobs.extend(wanted.step_by(every).map(|(clip, _)| Job { set, clip }));
     }
     if jobs.is_empty() {
         let names: Vec<_> = args
@@ -141,30 +196,34 @@ fn jobs(sets: &[MotionSet], args: &EvalArgs) -> Result<Vec<Job>, CommandError> {
     Ok(jobs)
 }
 
-/// Clips in parallel. Each starts with a fresh tracker, and results are put back in the order of
-/// the clips: the number of threads changes nothing but the time.
-fn evaluate_all(
-    sets: &[MotionSet],
-    jobs: &[Job],
-    options: &Options,
-    args: &EvalArgs,
-) -> Result<Vec<ClipResult>, CommandError> {
-    let source = Source::new(args.tracker)?;
-    source.tracker()?;
+fn read_clip(sets: &[MotionSet], job: Job) -> Result<Clip, CommandError> {
+    sets[job.set].clip(job.clip).map_err(|error| {
+        let name = &sets[job.set].entries()[job.clip].name;
+        CommandError::Input(format!("clip {name}: {error}"))
+    })
+}
+
+/// Does `count` jobs on some threads. Results are put back in the order of the jobs: the number of
+/// threads changes nothing but the time.
+fn in_parallel<T: Send>(
+    count: usize,
+    threads: Option<usize>,
+    one: impl Fn(usize) -> Result<T, CommandError> + Sync,
+) -> Result<Vec<T>, CommandError> {
     let cores = thread::available_parallelism().map_or(1, std::num::NonZero::get);
-    let threads = args.threads.unwrap_or(cores).clamp(1, jobs.len());
-    let progress = ProgressBar::new(jobs.len() as u64);
+    let threads = threads.unwrap_or(cores).clamp(1, count);
+    let progress = ProgressBar::new(count as u64);
     if let Ok(style) = ProgressStyle::with_template("{bar:40} {pos}/{len} clips, {eta} left") {
         progress.set_style(style);
     }
     let next = AtomicUsize::new(0);
-    let done: Mutex<Vec<Option<Result<ClipResult, CommandError>>>> =
-        Mutex::new(jobs.iter().map(|_| None).collect());
+    let done: Mutex<Vec<Option<Result<T, CommandError>>>> =
+        Mutex::new((0..count).map(|_| None).collect());
     thread::scope(|scope| {
         for _ in 0..threads {
             scope.spawn(|| {
-                while let Some(index) = claim(&next, jobs.len()) {
-                    let result = one(sets, jobs[index], options, &source, args);
+                while let Some(index) = claim(&next, count) {
+                    let result = one(index);
                     progress.inc(1);
                     if let Ok(mut done) = done.lock() {
                         done[index] = Some(result);
@@ -184,28 +243,6 @@ fn evaluate_all(
 fn claim(next: &AtomicUsize, end: usize) -> Option<usize> {
     let index = next.fetch_add(1, Ordering::Relaxed);
     (index < end).then_some(index)
-}
-
-fn one(
-    sets: &[MotionSet],
-    job: Job,
-    options: &Options,
-    source: &Source,
-    args: &EvalArgs,
-) -> Result<ClipResult, CommandError> {
-    let clip = sets[job.set].clip(job.clip).map_err(|error| {
-        let name = &sets[job.set].entries()[job.clip].name;
-        CommandError::Input(format!("clip {name}: {error}"))
-    })?;
-    let mut tracker = source.tracker()?;
-    if args.physics {
-        tracker = Box::new(Physical::new(
-            tracker,
-            &options.bones.wearer(&clip),
-            args.rate,
-        ));
-    }
-    Ok(evaluate(&clip, &mut *tracker, options))
 }
 
 /// A table: the classes, then everything.

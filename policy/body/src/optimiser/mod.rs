@@ -156,6 +156,13 @@ impl Optimiser {
         }
     }
 
+    /// From now on another person, of whom nothing is known yet. Does not allocate.
+    pub fn wear(&mut self, skeleton: &Skeleton, mass: f64) {
+        self.tree = Tree::new(skeleton, mass);
+        self.feet = Feet::new(skeleton);
+        self.reset();
+    }
+
     /// Forgets the past: the next reference is taken over as it is.
     pub fn reset(&mut self) {
         self.smoother.reset();

@@ -5,6 +5,7 @@
 //! run on any number of threads; [`Report::of`] joins the results in the order of the clips.
 
 mod class;
+mod continuous;
 mod inertial;
 mod report;
 mod sensors;
@@ -22,6 +23,7 @@ use crate::{
 };
 
 pub use class::motion_class;
+pub use continuous::{Stretch, continuous};
 pub use inertial::Straps;
 pub use report::{Report, Row};
 pub use sensors::{Frustum, Sensors, Shown};

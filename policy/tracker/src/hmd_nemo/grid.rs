@@ -10,7 +10,8 @@ use posed_signal::HostTime;
 use super::{
     carry::Carry,
     features::{Builder, Seen},
-    network::{Answer, Step},
+    mirror::Pair,
+    network::Answer,
 };
 
 /// One step's time, nanoseconds.
@@ -41,7 +42,7 @@ impl Grid {
         now: HostTime,
         seen: &Seen,
         height: f32,
-        network: &mut Step,
+        network: &mut Pair,
     ) -> Option<Answer> {
         let gap = self
             .tick

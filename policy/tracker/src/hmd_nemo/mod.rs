@@ -8,6 +8,7 @@
 mod carry;
 mod features;
 mod grid;
+mod mirror;
 mod network;
 mod refine;
 
@@ -24,6 +25,7 @@ use crate::{
 };
 use features::Seen;
 use grid::Grid;
+use mirror::Pair;
 use network::Step;
 use refine::Draft;
 
@@ -49,6 +51,9 @@ pub struct Options {
     pub refine: bool,
     /// How hands are met.
     pub energy: Energy,
+    /// Whether the network is asked of the mirror image too: smoother and more accurate, for
+    /// twice the inference.
+    pub mirror: bool,
 }
 
 impl Default for Options {
@@ -56,13 +61,14 @@ impl Default for Options {
         Self {
             refine: true,
             energy: Energy::Plain,
+            mirror: true,
         }
     }
 }
 
 /// The tracker.
 pub struct HmdNemo {
-    network: Step,
+    network: Pair,
     grid: Grid,
     options: Options,
     ik: Ik,
@@ -88,8 +94,10 @@ impl HmdNemo {
         bytes: &[u8],
         options: Options,
     ) -> Result<Self, InferenceError> {
+        let step = || Step::load(runtime, name, bytes);
+        let mirrored = options.mirror.then(step).transpose()?;
         Ok(Self {
-            network: Step::load(runtime, name, bytes)?,
+            network: Pair::new(step()?, mirrored),
             grid: Grid::default(),
             options,
             ik: Ik::default(),
@@ -195,6 +203,13 @@ impl Tracker for HmdNemo {
             quality: quality(state, hands),
             kind,
         }
+    }
+
+    /// A foot stands while its heel or its toes do.
+    fn contacts(&self) -> Option<[f32; 2]> {
+        let (_, by) = self.shown?;
+        let [left, right, left_toe, right_toe] = self.contact;
+        (by == TrackerKind::HmdNemo).then_some([left.max(left_toe), right.max(right_toe)])
     }
 }
 

@@ -3,7 +3,10 @@
 use glam::{Mat3, Quat, Vec3};
 use posed_body::JOINTS;
 
-use super::features::{Builder, STREAM, STREAMS};
+use super::{
+    features::{Builder, STREAM, STREAMS},
+    mirror::{mirror_answer, mirror_features},
+};
 use crate::inference::{InferenceError, Network, Port, Runtime};
 
 const INPUTS: [Port; 7] = [
@@ -86,6 +89,16 @@ pub(super) struct Answer {
     pub contact: [f32; 4],
 }
 
+impl Answer {
+    /// From the heading frame and head heights to the world and metres.
+    fn in_world(mut self, features: &Builder<'_>) -> Self {
+        let heading = Quat::from_rotation_y(features.yaw());
+        self.rotations[0] = (heading * self.rotations[0]).normalize();
+        self.root_from_head = heading * self.root_from_head * features.height();
+        self
+    }
+}
+
 /// A loaded HMD-NeMo with its memory.
 pub(super) struct Step {
     network: Network<7, 7>,
@@ -114,6 +127,24 @@ impl Step {
     /// then dropped.
     pub(super) fn run(&mut self, features: &Builder<'_>, visible: [bool; 2]) -> Option<Answer> {
         features.write(self.network.input(FEATURES));
+        let answer = self.step(visible)?;
+        Some(answer.in_world(features))
+    }
+
+    /// The same for the wearer's mirror image; the answer is turned back.
+    pub(super) fn run_mirrored(
+        &mut self,
+        features: &Builder<'_>,
+        [left, right]: [bool; 2],
+    ) -> Option<Answer> {
+        features.write(self.network.input(FEATURES));
+        mirror_features(self.network.input(FEATURES));
+        let answer = self.step([right, left])?;
+        Some(mirror_answer(&answer).in_world(features))
+    }
+
+    /// One step with the features that were written.
+    fn step(&mut self, visible: [bool; 2]) -> Option<Answer> {
         let flags = visible.map(|seen| f32::from(u8::from(seen)));
         self.network.input(VISIBLE).copy_from_slice(&flags);
         self.network
@@ -125,7 +156,7 @@ impl Step {
             }
         }
         let ran = self.network.run().is_ok();
-        let answer = ran.then(|| self.answer(features)).flatten();
+        let answer = ran.then(|| self.answer()).flatten();
         self.reset = answer.is_none();
         if !self.reset {
             for port in STATE {
@@ -135,8 +166,8 @@ impl Step {
         answer
     }
 
-    fn answer(&self, features: &Builder<'_>) -> Option<Answer> {
-        let heading = Quat::from_rotation_y(features.yaw());
+    /// The answer in the heading frame, its lengths over the head height.
+    fn answer(&self) -> Option<Answer> {
         let mut rotations = [Quat::IDENTITY; JOINTS];
         let matrices = self.network.output(ROTATION).chunks_exact(9);
         for (rotation, numbers) in rotations.iter_mut().zip(matrices) {
@@ -144,16 +175,15 @@ impl Step {
             let matrix = Mat3::from_cols_slice(numbers).transpose();
             *rotation = Quat::from_mat3(&matrix).normalize();
         }
-        rotations[0] = (heading * rotations[0]).normalize();
-        let root = Vec3::from_slice(self.network.output(ROOT)) * features.height();
+        let root_from_head = Vec3::from_slice(self.network.output(ROOT));
         let mut contact = [0.0; 4];
         contact.copy_from_slice(self.network.output(CONTACT));
         let sound = rotations.iter().all(|rotation| rotation.is_finite())
-            && root.is_finite()
+            && root_from_head.is_finite()
             && contact.iter().all(|number| number.is_finite());
         sound.then_some(Answer {
             rotations,
-            root_from_head: heading * root,
+            root_from_head,
             contact,
         })
     }

@@ -1,6 +1,6 @@
 //! Golden vectors of the training side replayed, and what must hold whatever the weights say.
 
-use std::path::Path;
+use std::{f32::consts::FRAC_PI_2, path::Path};
 
 use glam::{Quat, Vec3};
 use posed_body::{Joint, Joints};
@@ -292,6 +292,48 @@ fn a_reset_forgets() {
     stage.tracker.reset();
     stage.show(0.0);
     assert_eq!(stage.tick(5.0).0, first);
+}
+
+#[test]
+fn starts_from_any_pose() {
+    let up = Quat::IDENTITY;
+    let poses = [
+        (1.6, up),
+        (0.7, Quat::from_rotation_x(-0.9)),
+        (0.2, Quat::from_rotation_x(FRAC_PI_2)),
+        (0.25, Quat::from_rotation_z(FRAC_PI_2)),
+        (
+            1.2,
+            Quat::from_rotation_y(3.0) * Quat::from_rotation_x(-1.4),
+        ),
+    ];
+    for (height, rotation) in poses {
+        let mut stage = Stage::new();
+        let head = Vec3::new(3.0, height, -2.0);
+        stage.set(Role::Head, head, rotation);
+        let mut last: Option<Joints> = None;
+        for n in 0..90u32 {
+            // One hand is there from the start, the other comes later.
+            let hand = head + rotation * Vec3::new(0.3, -0.2, -0.3);
+            stage.set(Role::RightHand, hand, rotation);
+            if n == 30 {
+                let hand = head + rotation * Vec3::new(-0.3, -0.2, -0.3);
+                stage.set(Role::LeftHand, hand, rotation);
+            }
+            let (tracked, joints) = stage.tick(f64::from(n) / 60.0);
+            assert_eq!(tracked.kind, TrackerKind::HmdNemo);
+            assert!(joints.position(Joint::Head).distance(head) < 1e-4);
+            assert!(joints.rotation(Joint::Head).angle_between(rotation) < 2e-3);
+            // An untrained memory takes a few steps to settle.
+            if let Some(last) = last.filter(|_| n > 10) {
+                for joint in Joint::ALL {
+                    let step = joints.position(joint).distance(last.position(joint));
+                    assert!(step < 0.13, "{} jumps {step} m at tick {n}", joint.name());
+                }
+            }
+            last = Some(joints);
+        }
+    }
 }
 
 #[test]

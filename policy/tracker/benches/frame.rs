@@ -1,0 +1,90 @@
+//! What a frame of HMD-NeMo costs: network, refinement, physics, at 60 and 90 ticks a second.
+//!
+//! Prints medians, 99th percentiles and maxima over the built-in human's forty seconds, three times
+//! over, for every model in policy/models.
+
+use std::{path::Path, time::Instant};
+
+use posed_body::motion::{Clip, Trajectory, procedural};
+use posed_signal::{HostTime, Lookup, Pose, Role};
+use posed_tracker::{
+    HmdNemo, Input, Physical, Tracker, Wearer,
+    eval::{Sensors, Shown, Straps},
+    hmd_nemo::Options,
+    inference::Runtime,
+};
+
+const ROUNDS: usize = 3;
+
+fn main() {
+    // `cargo test --benches` runs this too; there is nothing to measure then.
+    if std::env::args().any(|argument| argument == "--test") {
+        return;
+    }
+    let library = std::env::var_os("ORT_DYLIB_PATH").expect("cargo sets ORT_DYLIB_PATH");
+    let runtime = Runtime::load(Path::new(&library)).expect("run `make native` first");
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../models");
+    let clip = procedural::timeline(1.75, 4);
+    for name in ["hmd_nemo_small", "hmd_nemo_full"] {
+        let Ok(model) = std::fs::read(folder.join(format!("{name}.onnx"))) else {
+            continue;
+        };
+        let load = |refine, mirror| {
+            let options = Options {
+                refine,
+                mirror,
+                ..Options::default()
+            };
+            HmdNemo::load(&runtime, name, &model, options).expect("the model fits")
+        };
+        for rate in [60.0, 90.0] {
+            println!("{name}, {rate} Hz");
+            report("network, once", &mut load(false, false), &clip, rate);
+            report("network, and mirrored", &mut load(false, true), &clip, rate);
+            report("+ refinement", &mut load(true, true), &clip, rate);
+            let wearer = Wearer {
+                height: clip.skeleton.stature(),
+                skeleton: clip.skeleton,
+            };
+            let mut physical = Physical::new(Box::new(load(true, true)), &wearer, rate);
+            report("+ physics", &mut physical, &clip, rate);
+        }
+    }
+}
+
+fn report(what: &str, tracker: &mut dyn Tracker, clip: &Clip, rate: f64) {
+    let trajectory = Trajectory::new(clip);
+    let shown = Shown::new(&trajectory, clip, Sensors::HmdControllers, Straps::Exact);
+    let wearer = Wearer {
+        height: clip.skeleton.stature(),
+        skeleton: clip.skeleton,
+    };
+    let mut costs = Vec::new();
+    let frames = (trajectory.duration() * rate) as usize;
+    for frame in (0..ROUNDS).flat_map(|_| 0..frames) {
+        let seconds = frame as f64 / rate;
+        let target = HostTime::from_secs_f64(1.0 + costs.len() as f64 / rate);
+        let mut parts: [Lookup<Pose>; Role::COUNT] = [Lookup::Empty; Role::COUNT];
+        for role in Role::ALL {
+            if let Some(pose) = shown.pose(role, seconds, target) {
+                parts[role as usize] = Lookup::Exact(pose);
+            }
+        }
+        let input = Input {
+            target,
+            parts: &parts,
+            wearer: &wearer,
+        };
+        let begun = Instant::now();
+        std::hint::black_box(tracker.track(&input));
+        costs.push(begun.elapsed().as_secs_f64() * 1e3);
+    }
+    costs.sort_by(f64::total_cmp);
+    let at = |share: f64| costs[((costs.len() - 1) as f64 * share) as usize];
+    println!(
+        "  {what:<22} p50 {:6.3} ms   p99 {:6.3} ms   max {:6.3} ms",
+        at(0.5),
+        at(0.99),
+        at(1.0)
+    );
+}

@@ -10,6 +10,7 @@ mod features;
 mod grid;
 mod mirror;
 mod network;
+mod plant;
 mod refine;
 
 use posed_body::{BodyPose, Skeleton};
@@ -27,6 +28,7 @@ use features::Seen;
 use grid::Grid;
 use mirror::Pair;
 use network::Step;
+use plant::Feet;
 use refine::Draft;
 
 pub use refine::Energy;
@@ -46,8 +48,8 @@ const GAP_MAX: f32 = 0.5;
 /// How the tracker works; the default is what ships.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Options {
-    /// Whether the answer is moved to meet headset and hands; otherwise it only hangs from the
-    /// head joint.
+    /// Whether the answer is moved to meet headset and hands, and standing feet are kept in place;
+    /// otherwise it only hangs from the head joint.
     pub refine: bool,
     /// How hands are met.
     pub energy: Energy,
@@ -79,6 +81,7 @@ pub struct HmdNemo {
     shown: Option<(BodyPose, TrackerKind)>,
     fade: PoseFade,
     contact: [f32; 4],
+    feet: Feet,
     /// Seconds since the network started from nothing.
     warm_s: f32,
 }
@@ -107,6 +110,7 @@ impl HmdNemo {
             shown: None,
             fade: PoseFade::DONE,
             contact: [0.0; 4],
+            feet: Feet::default(),
             warm_s: WARM_S,
         })
     }
@@ -133,12 +137,14 @@ impl HmdNemo {
         let height = skeleton.head_height().max(0.1);
         let Some(answer) = self.grid.advance(now, &seen, height, &mut self.network) else {
             self.warm_s = 0.0;
+            self.feet.reset();
             return None;
         };
         self.contact = answer.contact;
         let mut draft = Draft::new(answer.rotations, head, skeleton);
         if self.options.refine {
             draft.meet_head(head);
+            self.feet.keep(&mut draft, answer.contact, dt);
             for side in 0..2 {
                 let base = draft.shoulder(side);
                 let otherwise = draft.wrist(side).into_frame(&base);
@@ -160,6 +166,7 @@ impl Tracker for HmdNemo {
         self.network.reset();
         self.grid.reset();
         self.ik.reset();
+        self.feet.reset();
         self.head = Head::NEW;
         self.hands = [Hand::new(LEAVE_S, RETURN_S); 2];
         (self.last, self.shown, self.fade) = (None, None, PoseFade::DONE);
@@ -184,6 +191,7 @@ impl Tracker for HmdNemo {
         let predicted = match state {
             HeadState::Held => {
                 self.grid.reset();
+                self.feet.reset();
                 self.warm_s = 0.0;
                 None
             }

@@ -4,7 +4,8 @@
 //! The paper minimises an energy over the upper body and the root with L-BFGS. Here the head's
 //! term is met in closed form by the root, the neck and the head joint, and each hand's by its arm:
 //! the elbow keeps the predicted swivel, and every bone turns the short way, so that predicted
-//! twists stay. The collar helps where the arm is too short. Legs and spine are left as they are.
+//! twists stay. The collar helps where the arm is too short. The spine is left as it is, legs keep
+//! standing feet in place ([`super::plant`]).
 
 use glam::{Quat, Vec3};
 use posed_body::{BodyPose, JOINTS, Joint, Joints, Skeleton};
@@ -94,6 +95,19 @@ impl<'a> Draft<'a> {
         }
     }
 
+    /// Ankle and toe joint as they now are.
+    pub(super) fn foot(&self, side: usize) -> [Vec3; 2] {
+        [Joint::LeftAnkle, Joint::LeftFoot]
+            .map(|joint| self.joints.positions[joint as usize + side])
+    }
+
+    /// Brings an ankle to `goal`, or as near as the leg reaches; the foot keeps its rotation.
+    pub(super) fn meet_ankle(&mut self, side: usize, goal: Vec3) {
+        let leg = [Joint::LeftHip, Joint::LeftKnee, Joint::LeftAnkle];
+        let leg = leg.map(|joint| joint as usize + side);
+        self.reach_with(leg, Vec3::NEG_X, goal);
+    }
+
     /// Gives the head the measured rotation.
     pub(super) fn meet_head(&mut self, head: &Place) {
         let neck = self.joints.rotation(Joint::Neck);
@@ -138,12 +152,19 @@ impl<'a> Draft<'a> {
 
     fn reach_with_arm(&mut self, side: usize, goal: Vec3) {
         let [_, shoulder, elbow, wrist] = arm(side);
-        let at = |joint: usize| self.joints.positions[joint];
-        let (root, bend, end) = (at(shoulder), at(elbow), at(wrist));
-        let (upper, lower) = (bend - root, end - bend);
-        // The elbow's side of the arm: as predicted, by the hinge's axis while the arm is straight.
         let sign = if side == 0 { -1.0 } else { 1.0 };
-        let hinge = self.joints.rotations[shoulder] * Vec3::new(0.0, sign, 0.0);
+        let hinge = Vec3::new(0.0, sign, 0.0);
+        self.reach_with([shoulder, elbow, wrist], hinge, goal);
+    }
+
+    /// Brings a limb's end to `goal`. `hinge` is the axis about which its middle joint bends, in
+    /// the frame of its first.
+    fn reach_with(&mut self, [first, middle, last]: [usize; 3], hinge: Vec3, goal: Vec3) {
+        let at = |joint: usize| self.joints.positions[joint];
+        let (root, bend, end) = (at(first), at(middle), at(last));
+        let (upper, lower) = (bend - root, end - bend);
+        // The side to which the limb bends: as predicted, by the hinge's axis while it is straight.
+        let hinge = self.joints.rotations[first] * hinge;
         let straight = direction(end - root, upper);
         let by_hinge = straight.cross(hinge) * (0.05 * upper.length());
         let pole = upper - straight * upper.dot(straight) + by_hinge;
@@ -153,10 +174,10 @@ impl<'a> Draft<'a> {
             hinge,
         };
         let (new_upper, new_lower) = limb.bones_to(root, goal, pole);
-        let shoulder_turn = short_way(upper, new_upper);
-        self.set(shoulder, shoulder_turn * self.joints.rotations[shoulder]);
-        let elbow_turn = short_way(lower, new_lower);
-        self.set(elbow, elbow_turn * self.joints.rotations[elbow]);
+        let first_turn = short_way(upper, new_upper);
+        self.set(first, first_turn * self.joints.rotations[first]);
+        let middle_turn = short_way(lower, new_lower);
+        self.set(middle, middle_turn * self.joints.rotations[middle]);
         self.refresh();
     }
 

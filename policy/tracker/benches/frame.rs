@@ -12,6 +12,7 @@ use posed_tracker::{
     eval::{Sensors, Shown, Straps},
     hmd_nemo::Options,
     inference::Runtime,
+    tracker::NO_INERTIAL,
 };
 
 const ROUNDS: usize = 3;
@@ -73,6 +74,7 @@ fn report(what: &str, tracker: &mut dyn Tracker, clip: &Clip, rate: f64) {
         let input = Input {
             target,
             parts: &parts,
+            inertial: &NO_INERTIAL,
             wearer: &wearer,
         };
         let begun = Instant::now();

@@ -13,7 +13,7 @@ use posed_signal::{HostTime, Lookup, Pose, PoseHow, Role};
 use super::{Options, START, Shown};
 use crate::{
     geometry::yaw_of,
-    tracker::{Input, Tracker},
+    tracker::{Input, NO_INERTIAL, Tracker},
 };
 
 /// Results are given for stretches of this length, seconds.
@@ -93,6 +93,7 @@ pub fn continuous(
             let input = Input {
                 target: now,
                 parts: &parts,
+                inertial: &NO_INERTIAL,
                 wearer: &wearer,
             };
             let truth = ground.pose(&trajectory.pose(own_s));

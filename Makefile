@@ -2,9 +2,10 @@
 SHELL := bash
 .SHELLFLAGS := -eu -o pipefail -c
 NATIVE := .native
+VENV := .venv
 PYTHON ?= python3
 
-.PHONY: help demo test bench native lint doc assets
+.PHONY: help demo test outside browser bench native lint doc assets
 
 help:
 	@echo "make demo   replay the embedded capture, serve it and follow it on the terminal"
@@ -33,7 +34,28 @@ demo: native
 # Skipped tests print a line that says so; --nocapture lets it through.
 test: native
 	cargo test --workspace --locked -- --nocapture
+	$(MAKE) outside
 	RUSTFLAGS="--cfg loom" cargo test -p posed-signal --lib --locked --target-dir target/loom loom
+
+# posed as a browser, clients and other programs see it.
+outside: native browser $(VENV)/stamp
+	cargo build --locked -p posed --bin posed --example follow
+	$(VENV)/bin/python -m pytest -q -rs -p no:cacheprovider tests/outside
+
+$(VENV)/stamp: tests/outside/requirements.txt
+	$(PYTHON) -m venv $(VENV)
+	$(VENV)/bin/pip --disable-pip-version-check install --quiet -r tests/outside/requirements.txt
+	touch $@
+
+# Debian's Chromium, where no browser is there yet and this user may install one. Without any, the
+# tests that need it say so.
+browser:
+	@command -v chromium chromium-browser >/dev/null || \
+	if [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null; then \
+		apt-get update --quiet=2 || true; \
+		DEBIAN_FRONTEND=noninteractive apt-get install --quiet=2 --yes --no-install-recommends \
+			chromium >/dev/null || true; \
+	fi
 
 bench: native
 	cargo bench --locked -p posed-tests

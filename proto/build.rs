@@ -4,7 +4,8 @@ use std::{env, error::Error, fs, path::PathBuf};
 
 use protox::prost::Message as _;
 
-const FILES: [&str; 5] = [
+const FILES: [&str; 6] = [
+    "posed/v1/control_service.proto",
     "posed/v1/geometry.proto",
     "posed/v1/device.proto",
     "posed/v1/device_service.proto",

@@ -32,6 +32,18 @@ pub struct Options {
     pub horizon_ns: i64,
 }
 
+impl Options {
+    /// The trackers that can be chosen.
+    #[must_use]
+    pub fn choices(&self) -> Vec<TrackerKind> {
+        let mut kinds: Vec<_> = self.trackers.iter().map(|tracker| tracker.kind()).collect();
+        if !kinds.contains(&TrackerKind::Ik) {
+            kinds.push(TrackerKind::Ik);
+        }
+        kinds
+    }
+}
+
 impl Default for Options {
     fn default() -> Self {
         Self {
@@ -57,15 +69,21 @@ pub struct Assembly {
 /// Joins a transport, a rig and a tracker loop.
 #[must_use]
 pub fn assemble(transport: Box<dyn Transport>, options: Options) -> Assembly {
-    let (rig, rings) = Rig::new(options.rig);
-    let (roles_writer, roles) = latest();
-    let (requests, requests_in) = ring(REQUESTS_MAX);
     let setup = Setup {
         trackers: options.trackers,
         choice: options.tracker,
         wearer: Wearer::of_height(options.height),
         horizon_ns: options.horizon_ns,
     };
+    assemble_with(transport, options.rig, setup)
+}
+
+/// Joins a transport, a rig and a tracker loop that goes on with what another one had.
+#[must_use]
+pub fn assemble_with(transport: Box<dyn Transport>, rig: rig::Settings, setup: Setup) -> Assembly {
+    let (rig, rings) = Rig::new(rig);
+    let (roles_writer, roles) = latest();
+    let (requests, requests_in) = ring(REQUESTS_MAX);
     let inputs = Inputs {
         rings,
         roles,

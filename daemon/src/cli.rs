@@ -4,6 +4,8 @@ use std::{net::SocketAddr, path::PathBuf};
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
 
+use crate::output::{bvh::Unit, export, names::Names, record};
+
 /// Whole-body pose from a VR headset and its controllers, over gRPC.
 #[derive(Debug, Parser)]
 #[command(name = "posed", version, about, propagate_version = true)]
@@ -25,12 +27,23 @@ pub enum Command {
     Replay(ReplayArgs),
     /// Say what a capture holds, device by device.
     Inspect(InspectArgs),
-    /// Write the traffic of the devices on this PC to a capture.
+    /// Write the traffic of the devices on this PC to a capture; or have a running posed write
+    /// its poses to a file.
     Record(RecordArgs),
+    /// Write the motion of a capture, or of poses written before, to a file for other programs.
+    Export(ExportArgs),
     /// Make the USB traffic of a headset and two controllers from a human motion.
     Simulate(SimulateArgs),
     /// Follow the pose that a running posed serves.
     Follow(FollowArgs),
+    /// Have the tracker of a running posed start anew.
+    Reset(ServerArgs),
+    /// Tell a running posed the wearer's height, or ask for it.
+    Height(HeightArgs),
+    /// Choose the tracker of a running posed, or ask which there are.
+    Tracker(TrackerArgs),
+    /// Have a running posed learn how trackers sit on the body, from a stance.
+    Calibrate(CalibrateArgs),
     /// List the devices on this PC that posed knows.
     List(ListArgs),
     /// Replay the embedded capture, serve it, follow it, and show what happens.
@@ -109,9 +122,12 @@ pub struct ReplayArgs {
     /// The outputs.
     #[command(flatten)]
     pub output: OutputArgs,
-    /// Serve the poses over gRPC meanwhile.
+    /// Serve the poses over gRPC, on the page and to the other outputs meanwhile.
     #[arg(long)]
     pub serve: bool,
+    /// Begin again at the end, until Ctrl-C.
+    #[arg(long = "loop", requires = "serve")]
+    pub again: bool,
     /// Print the summary as JSON.
     #[arg(long)]
     pub json: bool,
@@ -138,16 +154,115 @@ pub enum CaptureFormat {
 
 /// Arguments of `posed record`.
 #[derive(Debug, Args)]
+#[command(subcommand_negates_reqs = true, args_conflicts_with_subcommands = true)]
 pub struct RecordArgs {
+    /// Record the poses of a running posed instead.
+    #[command(subcommand)]
+    pub live: Option<RecordLive>,
     /// The capture to write.
-    #[arg(long, value_name = "FILE")]
-    pub out: PathBuf,
+    #[arg(long, value_name = "FILE", required = true)]
+    pub out: Option<PathBuf>,
     /// Its format.
     #[arg(long, value_enum, default_value = "pcap")]
     pub format: CaptureFormat,
     /// Stop after so many seconds; otherwise at Ctrl-C.
     #[arg(long, value_name = "SECONDS")]
     pub seconds: Option<f64>,
+}
+
+/// Recording what a running posed publishes.
+#[derive(Debug, Subcommand)]
+pub enum RecordLive {
+    /// Begin to write poses to a file in posed's folder for recordings.
+    Start(RecordStartArgs),
+    /// End the recording.
+    Stop(ServerArgs),
+}
+
+/// Arguments of `posed record start`.
+#[derive(Debug, Args)]
+pub struct RecordStartArgs {
+    /// poses (lines of JSON), bvh or glb.
+    #[arg(long, default_value = "bvh", value_parser = parse_recording)]
+    pub format: record::Format,
+    /// The file's name, without folder and ending; the time of day where this is left out.
+    #[arg(long)]
+    pub name: Option<String>,
+    /// What the joints are called: smpl, unity, vrm, mixamo or openxr; what programs expect of the
+    /// format where this is left out.
+    #[arg(long, value_parser = parse_names)]
+    pub names: Option<Names>,
+    /// Whom to ask.
+    #[command(flatten)]
+    pub server: ServerArgs,
+}
+
+/// Arguments of `posed export`.
+#[derive(Debug, Args)]
+pub struct ExportArgs {
+    /// A capture, or a file of poses as `--poses` and recordings have them.
+    pub file: PathBuf,
+    /// bvh, or glb: glTF with VRM's human bones.
+    #[arg(long, default_value = "bvh", value_parser = parse_motion)]
+    pub format: export::Format,
+    /// The file to write; beside the input where this is left out.
+    #[arg(long, value_name = "FILE")]
+    pub out: Option<PathBuf>,
+    /// What the joints are called: smpl, unity, vrm, mixamo or openxr; what programs expect of the
+    /// format where this is left out.
+    #[arg(long, value_parser = parse_names)]
+    pub names: Option<Names>,
+    /// The unit of BVH: cm or m.
+    #[arg(long, default_value = "cm", value_parser = parse_unit)]
+    pub unit: Unit,
+    /// The body, where a capture is tracked.
+    #[command(flatten)]
+    pub body: BodyArgs,
+}
+
+/// A running posed.
+#[derive(Debug, Clone, Args)]
+pub struct ServerArgs {
+    /// The server: a socket path or an address; the user's own socket where this is left out.
+    #[arg(long, value_name = "SOCKET|ADDRESS")]
+    pub server: Option<String>,
+}
+
+/// Arguments of `posed height`.
+#[derive(Debug, Args)]
+pub struct HeightArgs {
+    /// Metres; asked for where this is left out.
+    #[arg(value_name = "METRES", value_parser = parse_height)]
+    pub height: Option<f32>,
+    /// Whom to ask.
+    #[command(flatten)]
+    pub server: ServerArgs,
+}
+
+/// Arguments of `posed tracker`.
+#[derive(Debug, Args)]
+pub struct TrackerArgs {
+    /// The tracker; the list of them where this is left out.
+    #[arg(value_parser = parse_tracker)]
+    pub tracker: Option<posed_tracker::TrackerKind>,
+    /// Whom to ask.
+    #[command(flatten)]
+    pub server: ServerArgs,
+}
+
+/// Arguments of `posed calibrate`.
+#[derive(Debug, Args)]
+pub struct CalibrateArgs {
+    /// t-pose: arms stretched out sideways, palms down; straight: arms hanging. Both upright, feet
+    /// together, looking straight ahead.
+    #[arg(default_value = "t-pose", value_parser = parse_stance)]
+    pub stance: posed_tracker::Stance,
+    /// Seconds to take the stance in.
+    #[arg(long, value_name = "SECONDS", default_value_t = 5, value_parser = clap::value_parser!(u32).range(..=60))]
+    pub seconds: u32,
+    /// Whom to ask.
+    #[command(flatten)]
+    pub server: ServerArgs,
 }
 
 /// Arguments of `posed simulate`.
@@ -182,9 +297,9 @@ pub struct SimulateArgs {
 /// Arguments of `posed follow`.
 #[derive(Debug, Args)]
 pub struct FollowArgs {
-    /// The server: a socket path or an address; the user's own socket where this is left out.
-    #[arg(long, value_name = "SOCKET|ADDRESS")]
-    pub server: Option<String>,
+    /// Whom to follow.
+    #[command(flatten)]
+    pub server: ServerArgs,
     /// Print each pose as a line of JSON.
     #[arg(long)]
     pub json: bool,
@@ -274,9 +389,15 @@ pub struct DemoArgs {
     /// Stop after so many seconds.
     #[arg(long, value_name = "SECONDS")]
     pub seconds: Option<f64>,
+    /// Begin again at the end, until Ctrl-C or the seconds are over.
+    #[arg(long = "loop")]
+    pub again: bool,
     /// Listen here as well as on the demo's own socket.
     #[arg(long, value_name = "ADDRESS")]
     pub listen: Option<SocketAddr>,
+    /// Serve the live page here.
+    #[arg(long, value_name = "ADDRESS")]
+    pub page: Option<SocketAddr>,
 }
 
 /// How fast to replay.
@@ -318,6 +439,32 @@ fn parse_straps(text: &str) -> Result<posed_tracker::eval::Straps, String> {
     Straps::from_name(text).ok_or_else(|| format!("there are {}", names()))
 }
 
+fn parse_recording(text: &str) -> Result<record::Format, String> {
+    let names = || record::Format::ALL.map(record::Format::name).join(", ");
+    record::Format::from_name(text).ok_or_else(|| format!("there are {}", names()))
+}
+
+fn parse_motion(text: &str) -> Result<export::Format, String> {
+    export::Format::from_name(text).ok_or_else(|| "give bvh or glb".into())
+}
+
+fn parse_names(text: &str) -> Result<Names, String> {
+    let names = || Names::ALL.map(Names::name).join(", ");
+    Names::from_name(text).ok_or_else(|| format!("there are {}", names()))
+}
+
+fn parse_unit(text: &str) -> Result<Unit, String> {
+    match text {
+        "cm" => Ok(Unit::Centimetres),
+        "m" => Ok(Unit::Metres),
+        _ => Err("give cm or m".into()),
+    }
+}
+
+fn parse_stance(text: &str) -> Result<posed_tracker::Stance, String> {
+    posed_tracker::Stance::from_name(text).ok_or_else(|| "give t-pose or straight".into())
+}
+
 fn parse_sensors(text: &str) -> Result<posed_tracker::eval::Sensors, String> {
     use posed_tracker::eval::Sensors;
     let names = || Sensors::ALL.map(Sensors::name).join(", ");
@@ -345,6 +492,24 @@ mod tests {
     #[test]
     fn the_command_line_is_consistent() {
         Cli::command().debug_assert();
+    }
+
+    #[test]
+    fn a_capture_is_recorded_or_poses_are() {
+        let record = |line: &str| {
+            let Command::Record(args) = Cli::try_parse_from(line.split(' '))?.command else {
+                panic!("{line}");
+            };
+            Ok::<_, clap::Error>(args)
+        };
+        assert!(record("posed record").is_err());
+        let capture = record("posed record --out a.pcap").unwrap();
+        assert!(capture.live.is_none() && capture.out.is_some());
+        let start = record("posed record start --format glb --names unity").unwrap();
+        assert!(matches!(start.live, Some(RecordLive::Start(args))
+            if args.names == Some(Names::Unity) && args.format.name() == "glb"));
+        assert!(record("posed record stop --server 127.0.0.1:1").is_ok());
+        assert!(record("posed record --out a.pcap stop").is_err());
     }
 
     #[test]

@@ -7,8 +7,8 @@ use std::{
 
 use clap::{CommandFactory as _, Parser as _};
 use posed::{
-    cli::{Cli, Command},
-    commands::{self, CommandError},
+    cli::{Cli, Command, RecordLive},
+    commands::{self, CommandError, control},
 };
 use tracing_subscriber::EnvFilter;
 
@@ -36,7 +36,16 @@ fn run(command: &Command) -> Result<(), CommandError> {
         Command::Run(args) => commands::run::run(args),
         Command::Replay(args) => commands::replay::run(args),
         Command::Inspect(args) => commands::inspect::run(args),
-        Command::Record(args) => commands::record::run(args),
+        Command::Record(args) => match &args.live {
+            None => commands::record::run(args),
+            Some(RecordLive::Start(args)) => control::start_recording(args),
+            Some(RecordLive::Stop(args)) => control::stop_recording(args),
+        },
+        Command::Export(args) => commands::export::run(args),
+        Command::Reset(args) => control::reset(args),
+        Command::Height(args) => control::height(args),
+        Command::Tracker(args) => control::tracker(args),
+        Command::Calibrate(args) => control::calibrate(args),
         Command::Simulate(args) => commands::simulate::run(args),
         Command::Follow(args) => commands::follow::run(args),
         Command::List(args) => commands::list::run(args),

@@ -1,15 +1,23 @@
 //! The gRPC server beside the threads that track: a runtime of its own, fed through channels.
 
-use std::{io, path::Path, sync::Arc, time::Duration};
+use std::{
+    io,
+    path::{Path, PathBuf},
+    sync::Arc,
+    time::Duration,
+};
 
 use posed_device::rig::DeviceInfo;
-use posed_signal::{Clock, HostTime, PoseHow, time::MILLISECOND_NS};
-use posed_tracker::Wearer;
+use posed_signal::{Clock, HostTime, PoseHow, ring::Producer, time::MILLISECOND_NS};
+use posed_tracker::{TrackerKind, Wearer};
 use tokio::{runtime, sync::watch, task::JoinHandle};
 
 use crate::{
     config::Grpc,
+    control::Control,
     grpc::{self, Hub, ListenError, Listeners, PoseSink, Services},
+    output::record::Recorder,
+    pipeline::tracking::Request,
     published::DeviceState,
 };
 
@@ -33,13 +41,34 @@ pub enum ServingError {
     Threads(#[from] io::Error),
 }
 
+/// What is served besides poses and devices, and to whom.
+pub struct Setup<'a> {
+    /// The sockets.
+    pub grpc: &'a Grpc,
+    /// Where sockets that have no other place are.
+    pub runtime_dir: Option<&'a Path>,
+    /// Where recordings are written.
+    pub recordings: Option<PathBuf>,
+    /// Who is tracked at first.
+    pub wearer: Wearer,
+    /// Poses a second.
+    pub rate_hz: f64,
+    /// The way of requests to the tracker.
+    pub requests: Producer<Request>,
+    /// The tracker at first.
+    pub tracker: TrackerKind,
+    /// The trackers that can be chosen.
+    pub trackers: Vec<TrackerKind>,
+    /// What poses' times are told by.
+    pub clock: Arc<dyn Clock + Send + Sync>,
+}
+
 /// A running server.
 pub struct Serving {
     runtime: runtime::Runtime,
     server: JoinHandle<()>,
     stop: watch::Sender<bool>,
     devices: watch::Sender<Vec<DeviceState>>,
-    wearer: watch::Sender<Wearer>,
     services: Services,
     names: Vec<String>,
 }
@@ -49,23 +78,21 @@ impl Serving {
     ///
     /// # Errors
     /// A socket or a thread cannot be had.
-    pub fn start(
-        config: &Grpc,
-        runtime_dir: Option<&Path>,
-        wearer: Wearer,
-        clock: Arc<dyn Clock + Send + Sync>,
-    ) -> Result<(PoseSink, Self), ServingError> {
-        let listeners = Listeners::open(config, runtime_dir)?;
+    pub fn start(setup: Setup<'_>) -> Result<(PoseSink, Self), ServingError> {
+        let listeners = Listeners::open(setup.grpc, setup.runtime_dir)?;
         let names = listeners.names().to_vec();
         let (sink, hub) = Hub::new()?;
         let (devices, devices_seen) = watch::channel(Vec::new());
-        let (wearer, wearer_seen) = watch::channel(wearer);
+        let (wearer, wearer_seen) = watch::channel(setup.wearer);
         let (stop, mut stopped) = watch::channel(false);
+        let control = Control::new(setup.requests, wearer, setup.tracker, setup.trackers);
         let services = Services {
+            recorder: Recorder::new(hub.clone(), setup.recordings, setup.rate_hz),
             hub,
             devices: devices_seen,
             wearer: wearer_seen,
-            clock,
+            clock: setup.clock,
+            control: Arc::new(control),
         };
         let runtime = runtime::Builder::new_multi_thread()
             .worker_threads(WORKERS)
@@ -88,7 +115,6 @@ impl Serving {
                 server,
                 stop,
                 devices,
-                wearer,
                 services,
                 names,
             },
@@ -113,12 +139,6 @@ impl Serving {
         self.devices.clone()
     }
 
-    /// The way to tell clients of another wearer.
-    #[must_use]
-    pub fn wearer(&self) -> watch::Sender<Wearer> {
-        self.wearer.clone()
-    }
-
     /// What is served, for other outputs.
     #[must_use]
     pub fn services(&self) -> &Services {
@@ -128,6 +148,9 @@ impl Serving {
     /// Ends every stream, waits for `last`, and gives the sockets back.
     pub fn stop<T>(self, last: impl Future<Output = T>) -> T {
         self.stop.send_replace(true);
+        if let Ok(recording) = self.services.recorder.stop() {
+            tracing::info!("recorded {}", recording.path.display());
+        }
         let server = self.server;
         let answer = self.runtime.block_on(async {
             let _ = tokio::time::timeout(STOP_TIMEOUT, server).await;

@@ -6,7 +6,7 @@ use super::CommandError;
 use crate::{
     cli::FollowArgs,
     clock::Monotonic,
-    follow::{Format, Printer, Server, follow},
+    follow::{Format, Printer, follow},
 };
 
 /// Follows the pose of a running posed until Ctrl-C, its end, or the number of poses asked for.
@@ -14,10 +14,7 @@ use crate::{
 /// # Errors
 /// No posed answers, or the output cannot be written.
 pub fn run(args: &FollowArgs) -> Result<(), CommandError> {
-    let server = match &args.server {
-        Some(text) => text.parse().map_err(crate::follow::FollowError::from)?,
-        None => Server::of_user(),
-    };
+    let server = args.server.server()?;
     let runtime = tokio::runtime::Builder::new_current_thread()
         .enable_all()
         .build()?;

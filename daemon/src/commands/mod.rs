@@ -1,7 +1,10 @@
 //! The commands of the command line, one file each.
 
+mod broadcast;
+pub mod control;
 pub mod demo;
 pub mod eval;
+pub mod export;
 pub mod follow;
 pub mod inspect;
 pub mod list;

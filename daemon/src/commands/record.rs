@@ -31,10 +31,13 @@ const WAIT_NS: u64 = 50_000_000;
 /// # Errors
 /// The devices cannot be reached or the capture cannot be written.
 pub fn run(args: &RecordArgs) -> Result<(), CommandError> {
+    let Some(out) = &args.out else {
+        return Err(CommandError::Input("name the capture by --out".into()));
+    };
     let (transport, stop) = live::transport()?;
     let tap = Tap {
         inner: transport,
-        output: Output::create(&args.out, args.format)?,
+        output: Output::create(out, args.format)?,
         written: 0,
     };
     // The rig is there to start the devices: without their start-up requests they send nothing.
@@ -67,7 +70,7 @@ pub fn run(args: &RecordArgs) -> Result<(), CommandError> {
     }
     progress.finish_and_clear();
     let seconds = Monotonic.now().since_secs(begun);
-    println!("{}: {seconds:.1} s recorded", args.out.display());
+    println!("{}: {seconds:.1} s recorded", out.display());
     Ok(())
 }
 

@@ -1,6 +1,14 @@
 //! `posed replay`.
 
-use std::{fs::File, io::BufReader, path::Path, sync::Arc};
+use std::{
+    fs::File,
+    io::BufReader,
+    path::{Path, PathBuf},
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering},
+    },
+};
 
 use indicatif::{ProgressBar, ProgressStyle};
 use posed_device::{
@@ -8,28 +16,26 @@ use posed_device::{
     rig::DeviceInfo,
     transport::{Merge, Recording, Replay},
 };
-use posed_signal::{Clock as _, DeviceId, HostTime, Pose, Sample, time::SECOND_NS};
-use posed_tracker::Wearer;
-use tokio::sync::watch;
+use posed_signal::{Clock as _, DeviceId, HostTime, Sample, time::SECOND_NS};
 
-use super::{CommandError, Report, Tally, settings};
+use super::{
+    CommandError, Report, Tally,
+    broadcast::{self, Broadcast, Open, Pacer},
+    live, settings,
+};
 use crate::{
     assemble::{Assembly, assemble},
     cli::{OutputArgs, ReplayArgs, Speed},
-    clock::{Monotonic, sleep_until},
-    config,
-    grpc::PoseSink,
+    clock::Monotonic,
     output::jsonl::JsonLines,
+    page::Station,
     pipeline::{
+        playback::Playback,
         replay::{Watcher, replay},
         source::Source,
     },
-    published::{DeviceState, PublishedPose},
-    serving::{Listing, Serving},
+    published::PublishedPose,
 };
-
-/// Devices are listed once in so many poses.
-const LISTING_POSES: u64 = 9;
 
 /// Opens a capture, and the `.usbdevs` file beside it where there is one.
 ///
@@ -64,46 +70,41 @@ pub(super) fn identities_beside(
 pub fn run(args: &ReplayArgs) -> Result<(), CommandError> {
     let config = settings::configuration(&args.body)?;
     let options = settings::options(&config)?;
-    let recordings = args
-        .files
-        .iter()
-        .map(|path| recording(path))
-        .collect::<Result<Vec<_>, _>>()?;
-    let transport = Replay::new(recordings, Merge::OneSession);
+    let open = opener(args.files.clone());
+    let rig = options.rig.clone();
+    let stations = &options.rig.devices.lighthouse.base_stations;
+    let stations = stations.iter().map(Station::from).collect();
+    let trackers = options.choices();
     let Assembly {
         mut source,
         mut tracker,
-        requests: _requests,
-    } = assemble(Box::new(transport), options);
+        requests,
+    } = assemble(open()?, options);
 
     let mut watcher = Outputs::new(&args.output, args.speed)?;
     let mut serving = None;
     if args.serve {
-        let wearer = Wearer::of_height(config.wearer.height_m);
-        let runtime_dir = config::files::runtime_dir();
-        let (sink, server) = Serving::start(
-            &config.grpc,
-            runtime_dir.as_deref(),
-            wearer,
-            Arc::new(Monotonic),
-        )?;
-        for name in server.names() {
+        let (sink, server) = settings::serve(&config, requests, trackers)?;
+        let playback = Arc::new(Playback::default());
+        broadcast::measure(&open, &playback)?;
+        let watched = settings::Watched::Replay(Arc::clone(&playback));
+        let outputs = settings::outputs(&config, &server, watched, stations)?;
+        for name in server.names().iter().chain(&outputs) {
             tracing::info!("serving on {name}");
         }
-        let speed = match args.speed {
-            Speed::Times(speed) => speed,
-            Speed::Max => 1.0,
-        };
-        watcher.broadcast = Some(Broadcast::new(speed, sink, server.devices()));
+        let speed = watcher.pacer.take().map(Pacer::speed);
+        watcher.broadcast = Some(Broadcast::new(speed, sink, &server, playback));
+        watcher.stop = Some(live::stop_flag()?);
         serving = Some(server);
     }
     let begun = Monotonic.now();
-    let span = replay(
-        &mut source,
-        &mut tracker,
-        config.tracker.rate_hz,
-        &mut watcher,
-    );
+    let rate_hz = config.tracker.rate_hz;
+    let mut span = replay(&mut source, &mut tracker, rate_hz, &mut watcher);
+    while let Some(server) = serving.as_ref().filter(|_| watcher.goes_on(args.again)) {
+        let control = &server.services().control;
+        (source, tracker) = broadcast::renew(&open, rig.clone(), tracker, control)?;
+        span = replay(&mut source, &mut tracker, rate_hz, &mut watcher);
+    }
     let wall_s = Monotonic.now().since_secs(begun);
     let report = watcher.finish(source.rig().devices(), span.seconds(), wall_s)?;
     if let Some(server) = serving {
@@ -120,91 +121,21 @@ pub fn run(args: &ReplayArgs) -> Result<(), CommandError> {
     Ok(())
 }
 
-/// Holds a replay back to real time.
-#[derive(Debug, Clone, Copy)]
-pub struct Pacer {
-    speed: f64,
-    /// Capture time and real time of the start.
-    origin: Option<(HostTime, HostTime)>,
-}
-
-impl Pacer {
-    /// `speed` times real time.
-    #[must_use]
-    pub fn new(speed: f64) -> Self {
-        Self {
-            speed,
-            origin: None,
-        }
-    }
-
-    /// The real time that belongs to a time of the capture; the first one asked for is now.
-    pub fn real(&mut self, time: HostTime) -> HostTime {
-        let (from, start) = *self.origin.get_or_insert_with(|| (time, Monotonic.now()));
-        start.plus_secs(time.since_secs(from) / self.speed)
-    }
-
-    /// Waits for that time.
-    pub fn wait(&mut self, time: HostTime) {
-        let real = self.real(time);
-        sleep_until(&Monotonic, real);
-    }
-}
-
-/// Serves a replay: its poses go out with the real clock's times, so that clients can tell how
-/// old they are.
-pub struct Broadcast {
-    pacer: Pacer,
-    sink: PoseSink,
-    devices: watch::Sender<Vec<DeviceState>>,
-    listing: Listing,
-}
-
-impl Broadcast {
-    /// `speed` times real time.
-    #[must_use]
-    pub fn new(speed: f64, sink: PoseSink, devices: watch::Sender<Vec<DeviceState>>) -> Self {
-        Self {
-            pacer: Pacer::new(speed),
-            sink,
-            devices,
-            listing: Listing::default(),
-        }
-    }
-
-    /// Waits until a time of the capture is due.
-    pub fn wait(&mut self, time: HostTime) {
-        self.pacer.wait(time);
-    }
-
-    /// Serves a pose, and now and then the devices.
-    pub fn pose(&mut self, pose: &PublishedPose, source: &Source) {
-        let mut served = *pose;
-        served.target_at = self.pacer.real(pose.target_at);
-        // Zero says that there is no headset yet; that is no time.
-        if pose.sample_at > HostTime(0) {
-            served.sample_at = self.pacer.real(pose.sample_at);
-        }
-        for part in &mut served.parts {
-            *part = part.map(|part| Pose {
-                at: self.pacer.real(part.at),
-                ..part
-            });
-        }
-        served.publish_at = Monotonic.now();
-        self.sink.publish(&served);
-        if pose.sequence.is_multiple_of(LISTING_POSES) {
-            let devices = source.rig().devices();
-            self.devices
-                .send_replace(self.listing.states(devices, pose.target_at));
-        }
-    }
+/// Opens captures as one session.
+fn opener(files: Vec<PathBuf>) -> Open {
+    Arc::new(move || {
+        let recordings = files.iter().map(|path| recording(path));
+        let recordings = recordings.collect::<Result<Vec<_>, _>>()?;
+        Ok(Box::new(Replay::new(recordings, Merge::OneSession)))
+    })
 }
 
 /// Everything that a replay writes.
 struct Outputs {
     pacer: Option<Pacer>,
     broadcast: Option<Broadcast>,
+    /// Set by Ctrl-C, which otherwise ends the process.
+    stop: Option<Arc<AtomicBool>>,
     poses: Option<JsonLines>,
     devices: Option<JsonLines>,
     pending: Vec<(DeviceId, posed_signal::Pose)>,
@@ -233,6 +164,7 @@ impl Outputs {
                 Speed::Max => None,
             },
             broadcast: None,
+            stop: None,
             poses: create(&args.poses)?,
             devices: create(&args.devices)?,
             pending: Vec::new(),
@@ -240,6 +172,14 @@ impl Outputs {
             progress,
             first: None,
         })
+    }
+
+    /// After a pass over the capture: whether there is another.
+    fn goes_on(&mut self, again: bool) -> bool {
+        let stopped = self.stop.as_ref();
+        let stopped = stopped.is_some_and(|stop| stop.load(Ordering::Relaxed));
+        let broadcast = self.broadcast.as_mut();
+        !stopped && broadcast.is_some_and(|broadcast| broadcast.rewind(again))
     }
 
     fn finish(
@@ -261,7 +201,12 @@ impl Watcher for Outputs {
         if let Some(pacer) = &mut self.pacer {
             pacer.wait(time);
         }
-        true
+        let stop = self.stop.as_deref();
+        let stops = || stop.is_some_and(|stop| stop.load(Ordering::Relaxed));
+        match &mut self.broadcast {
+            Some(broadcast) => broadcast.wait(time, stops),
+            None => true,
+        }
     }
 
     fn sample(&mut self, device: DeviceId, sample: &Sample) {

@@ -7,20 +7,16 @@ use std::{
 };
 
 use posed_signal::Clock as _;
-use posed_tracker::{TrackerKind, Wearer};
 
 use super::{CommandError, live, settings};
 use crate::{
     assemble::{Assembly, assemble},
     cli::RunArgs,
     clock::Monotonic,
-    config::{self, Config},
-    control::Control,
     notify::Notifier,
-    output,
-    page::{self, Page, Station},
+    page::Station,
     pipeline::live::{Shared, spawn_source, spawn_tracker},
-    serving::{Listing, Serving},
+    serving::Listing,
 };
 
 /// How often the main thread looks after the others.
@@ -38,23 +34,17 @@ pub fn run(args: &RunArgs) -> Result<(), CommandError> {
     let stations = &options.rig.devices.lighthouse.base_stations;
     let stations = stations.iter().map(Station::from).collect();
     let (transport, stop) = live::transport()?;
-    let wearer = Wearer::of_height(config.wearer.height_m);
-    let runtime_dir = config::files::runtime_dir();
-    let (mut sink, serving) = Serving::start(
-        &config.grpc,
-        runtime_dir.as_deref(),
-        wearer,
-        Arc::new(Monotonic),
-    )?;
+    let trackers = options.choices();
     let Assembly {
         source,
         tracker,
         requests,
     } = assemble(transport, options);
+    let (mut sink, serving) = settings::serve(&config, requests, trackers)?;
 
     let shared = Arc::new(Shared::default());
-    let control = Arc::new(Control::new(requests, serving.wearer()));
-    let outputs = outputs(&config, &serving, &control, &shared, stations)?;
+    let watched = settings::Watched::Live(Arc::clone(&shared));
+    let outputs = settings::outputs(&config, &serving, watched, stations)?;
     let (devices, mut listing) = (serving.devices(), Listing::default());
     let list = move |infos: &[posed_device::rig::DeviceInfo]| {
         devices.send_replace(listing.states(infos, Monotonic.now()));
@@ -94,31 +84,6 @@ pub fn run(args: &RunArgs) -> Result<(), CommandError> {
             "a thread of the tracker failed; this is a bug".into(),
         ))
     }
-}
-
-/// Starts everything that poses go to besides gRPC; answers their names.
-fn outputs(
-    config: &Config,
-    serving: &Serving,
-    control: &Arc<Control>,
-    shared: &Arc<Shared>,
-    stations: Vec<Station>,
-) -> Result<Vec<String>, CommandError> {
-    let runtime = serving.runtime().handle();
-    let hub = &serving.services().hub;
-    let resets = control.resets();
-    let mut names = output::start::start(runtime, hub, &resets, &config.vmc, &config.vrchat)?;
-    let requests = Arc::clone(control);
-    let page = Page {
-        services: serving.services().clone(),
-        ticks: Some(Arc::clone(shared)),
-        rate_hz: config.tracker.rate_hz,
-        trackers: vec![TrackerKind::HmdNemo, TrackerKind::Ik],
-        stations,
-        request: Arc::new(move |request| requests.request(request)),
-    };
-    names.extend(page::start(runtime, &config.page, page)?);
-    Ok(names)
 }
 
 fn wait_for_first_tick(shared: &Shared) -> Result<(), CommandError> {

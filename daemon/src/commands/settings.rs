@@ -1,17 +1,27 @@
 //! From configuration and command line to what the parts are told.
 
-use std::{fs, path::Path};
+use std::{
+    fs,
+    path::{Path, PathBuf},
+    sync::Arc,
+};
 
 use posed_device::{catalog, lighthouse, rig};
-use posed_signal::Serial;
+use posed_signal::{Serial, ring::Producer};
 use posed_tracker::{Ik, Physical, Tracker, TrackerKind, Wearer};
 
 use super::CommandError;
 use crate::{
     assemble::Options,
     cli::BodyArgs,
+    clock::Monotonic,
     config::{self, Config},
+    grpc::PoseSink,
     models::Models,
+    output,
+    page::{self, Page, Station},
+    pipeline::{live::Shared, playback::Playback, tracking::Request},
+    serving::{self, Serving},
 };
 
 /// Reads the configuration's files; the command line wins over them.
@@ -34,6 +44,12 @@ pub fn configuration(args: &BodyArgs) -> Result<Config, CommandError> {
         config.devices.base_stations = Some(path.clone());
     }
     Ok(config)
+}
+
+/// Where recordings are written.
+pub(super) fn recordings(config: &Config) -> Option<PathBuf> {
+    let folder = config.recording.folder.clone();
+    folder.or_else(config::files::recordings_dir)
 }
 
 /// What the parts are told by this configuration.
@@ -90,27 +106,95 @@ fn with_physics(trackers: Vec<Box<dyn Tracker>>, config: &Config) -> Vec<Box<dyn
     all.map(|inner| Box::new(physical(inner)) as _).collect()
 }
 
-/// The tracker asked for, unless it is `ik`, which is always there. One that cannot be had is no
-/// reason to do without a body: a warning says so, and `ik` stands in.
-pub(super) fn trackers(kind: TrackerKind) -> Vec<Box<dyn Tracker>> {
-    if kind == TrackerKind::Ik {
-        return Vec::new();
-    }
-    match Models::load().and_then(|models| models.tracker(kind)) {
-        Ok(Some(tracker)) => vec![tracker],
-        Ok(None) => {
-            tracing::warn!(
-                "this build has no model for the tracker {}: ik stands in",
-                kind.name()
-            );
-            Vec::new()
+/// Every tracker that this build has a model for; `ik` is always there besides. That `wanted`
+/// cannot be had is no reason to do without a body: a warning says so, and `ik` stands in.
+pub(super) fn trackers(wanted: TrackerKind) -> Vec<Box<dyn Tracker>> {
+    let mut trackers = Vec::new();
+    let why = match Models::load() {
+        Ok(models) => {
+            let mut why = None;
+            for kind in TrackerKind::ALL {
+                match models.tracker(kind) {
+                    Ok(tracker) => trackers.extend(tracker),
+                    Err(error) => why = Some(error),
+                }
+            }
+            why
         }
-        Err(error) => {
-            tracing::warn!(
-                "the tracker {} cannot be used, ik stands in: {error}",
-                kind.name()
-            );
-            Vec::new()
+        Err(error) => Some(error),
+    };
+    let has_wanted = trackers.iter().any(|tracker| tracker.kind() == wanted);
+    let name = wanted.name();
+    match why {
+        Some(error) if !has_wanted && wanted != TrackerKind::Ik => {
+            tracing::warn!("the tracker {name} cannot be used, ik stands in: {error}");
         }
+        None if !has_wanted && wanted != TrackerKind::Ik => {
+            tracing::warn!("this build has no model for the tracker {name}: ik stands in");
+        }
+        _ => {}
     }
+    trackers
+}
+
+/// Starts the gRPC server as the configuration says.
+///
+/// # Errors
+/// A socket or a thread cannot be had.
+pub(super) fn serve(
+    config: &Config,
+    requests: Producer<Request>,
+    trackers: Vec<TrackerKind>,
+) -> Result<(PoseSink, Serving), CommandError> {
+    let runtime_dir = config::files::runtime_dir();
+    let setup = serving::Setup {
+        grpc: &config.grpc,
+        runtime_dir: runtime_dir.as_deref(),
+        recordings: recordings(config),
+        wearer: Wearer::of_height(config.wearer.height_m),
+        rate_hz: config.tracker.rate_hz,
+        requests,
+        tracker: config.tracker.name,
+        trackers,
+        clock: Arc::new(Monotonic),
+    };
+    Ok(Serving::start(setup)?)
+}
+
+/// What the page tells of besides poses and devices.
+pub(super) enum Watched {
+    /// A live tracker's ticks.
+    Live(Arc<Shared>),
+    /// Where a replay stands.
+    Replay(Arc<Playback>),
+}
+
+/// Starts everything that poses go to besides gRPC; answers their names.
+///
+/// # Errors
+/// An address cannot be used.
+pub(super) fn outputs(
+    config: &Config,
+    serving: &Serving,
+    watched: Watched,
+    stations: Vec<Station>,
+) -> Result<Vec<String>, CommandError> {
+    let runtime = serving.runtime().handle();
+    let services = serving.services();
+    let resets = services.control.resets();
+    let mut names =
+        output::start::start(runtime, &services.hub, &resets, &config.vmc, &config.vrchat)?;
+    let (ticks, playback) = match watched {
+        Watched::Live(ticks) => (Some(ticks), None),
+        Watched::Replay(playback) => (None, Some(playback)),
+    };
+    let page = Page {
+        services: services.clone(),
+        ticks,
+        playback,
+        rate_hz: config.tracker.rate_hz,
+        stations,
+    };
+    names.extend(page::start(runtime, &config.page, page)?);
+    Ok(names)
 }

@@ -40,6 +40,15 @@ pub fn runtime_dir() -> Option<PathBuf> {
     Some(absolute("XDG_RUNTIME_DIR")?.join("posed"))
 }
 
+/// Where recordings are written by default: `posed/recordings` under `XDG_STATE_HOME` or
+/// `~/.local/state`; `None` where neither is set.
+#[must_use]
+pub fn recordings_dir() -> Option<PathBuf> {
+    let home = || Some(absolute("HOME")?.join(".local/state"));
+    let state = absolute("XDG_STATE_HOME").or_else(home)?;
+    Some(state.join("posed/recordings"))
+}
+
 /// The gRPC socket of a posed that runs with the default configuration.
 #[must_use]
 pub fn socket() -> Option<PathBuf> {

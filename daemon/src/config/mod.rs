@@ -14,7 +14,7 @@ use posed_tracker::TrackerKind;
 use serde::Deserialize;
 
 pub use fields::{Loopback, NotLoopback, UnixSocket};
-pub use outputs::{Page, Vmc, VrChat};
+pub use outputs::{Page, Recordings, Vmc, VrChat};
 
 /// The wearer's heights that body proportions hold for, metres.
 pub const HEIGHT_M: std::ops::RangeInclusive<f32> = 1.0..=2.5;
@@ -41,6 +41,8 @@ pub struct Config {
     pub vmc: Vmc,
     /// Trackers for VRChat.
     pub vrchat: VrChat,
+    /// Recordings of poses.
+    pub recording: Recordings,
     /// What to log.
     pub log: Log,
 }

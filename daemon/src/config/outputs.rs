@@ -2,6 +2,7 @@
 
 use std::{
     net::{Ipv4Addr, SocketAddr},
+    path::PathBuf,
     str::FromStr,
 };
 
@@ -19,6 +20,15 @@ pub struct Page {
     pub listen: Option<SocketAddr>,
     /// What browsers must know to come in; empty for nothing, which only the loopback allows.
     pub token: String,
+}
+
+/// `[recording]`.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Recordings {
+    /// Where recordings are written; `None` for the user's own folder.
+    #[serde(deserialize_with = "folder")]
+    pub folder: Option<PathBuf>,
 }
 
 /// `[vmc]`.
@@ -142,6 +152,16 @@ fn address<'de, D: Deserializer<'de>>(from: D) -> Result<Option<SocketAddr>, D::
             "`{text}` is no address: give one such as {example}, or \"off\""
         ))
     })
+}
+
+fn folder<'de, D: Deserializer<'de>>(from: D) -> Result<Option<PathBuf>, D::Error> {
+    let text = String::deserialize(from)?;
+    if text == "auto" {
+        return Ok(None);
+    }
+    let path = PathBuf::from(&text);
+    let absolute = path.is_absolute().then_some(Some(path));
+    absolute.ok_or_else(|| D::Error::custom(format!("`{text}`: give \"auto\" or an absolute path")))
 }
 
 fn parts<'de, D: Deserializer<'de>>(from: D) -> Result<Vec<Part>, D::Error> {

@@ -4,9 +4,16 @@ use glam::{Quat, Vec3};
 use posed_body::{BodyPose, JOINTS, Joints, skeleton};
 use posed_proto::v1;
 use posed_signal::{Battery, HostTime, Lookup, Pose, PoseHow, Role};
-use posed_tracker::{Quality, TrackerKind, Wearer};
+use posed_tracker::{Quality, Stance, TrackerKind, Wearer};
 
-use crate::published::{DeviceState, PublishedPose};
+use crate::{
+    output::{
+        export,
+        names::Names,
+        record::{Format, Recording, Wish},
+    },
+    published::{DeviceState, PublishedPose},
+};
 
 /// A message does not hold what the interface says.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -91,7 +98,7 @@ fn quality(quality: Quality) -> v1::Quality {
     }
 }
 
-fn tracker(kind: TrackerKind) -> v1::Tracker {
+pub(crate) fn tracker(kind: TrackerKind) -> v1::Tracker {
     match kind {
         TrackerKind::Ik => v1::Tracker::Ik,
         TrackerKind::HmdNemo => v1::Tracker::HmdNemo,
@@ -138,7 +145,7 @@ fn to_quality(wire: v1::Quality) -> Result<Quality> {
     .ok_or(unknown("quality"))
 }
 
-fn to_tracker(wire: v1::Tracker) -> Result<TrackerKind> {
+pub(super) fn to_tracker(wire: v1::Tracker) -> Result<TrackerKind> {
     let mut all = TrackerKind::ALL.into_iter();
     all.find(|known| tracker(*known) == wire)
         .ok_or(unknown("tracker"))
@@ -322,6 +329,95 @@ pub(super) fn skeleton(wearer: &Wearer) -> v1::Skeleton {
     }
 }
 
+// --- control ---
+
+/// The word for a tracker that a server names, also where this program does not know it.
+pub(crate) fn tracker_name(wire: v1::Tracker) -> &'static str {
+    to_tracker(wire).map_or(wire.as_str_name(), TrackerKind::name)
+}
+
+/// Stances, as `Calibrate` names them; `None` where none is named.
+pub(super) fn to_stance(wire: v1::Stance) -> Option<Stance> {
+    match wire {
+        v1::Stance::Unspecified => None,
+        v1::Stance::TPose => Some(Stance::TPose),
+        v1::Stance::Straight => Some(Stance::Straight),
+    }
+}
+
+/// The inverse of [`to_stance`].
+pub(crate) fn stance(stance: Stance) -> v1::Stance {
+    match stance {
+        Stance::TPose => v1::Stance::TPose,
+        Stance::Straight => v1::Stance::Straight,
+    }
+}
+
+fn format(format: Format) -> v1::RecordingFormat {
+    match format {
+        Format::Poses => v1::RecordingFormat::Poses,
+        Format::Motion(export::Format::Bvh) => v1::RecordingFormat::Bvh,
+        Format::Motion(export::Format::Glb) => v1::RecordingFormat::Glb,
+    }
+}
+
+fn names(names: Option<Names>) -> v1::JointNames {
+    match names {
+        None => v1::JointNames::Unspecified,
+        Some(Names::Smpl) => v1::JointNames::Smpl,
+        Some(Names::Unity) => v1::JointNames::Unity,
+        Some(Names::Vrm) => v1::JointNames::Vrm,
+        Some(Names::Mixamo) => v1::JointNames::Mixamo,
+        Some(Names::OpenXr) => v1::JointNames::Openxr,
+    }
+}
+
+/// What is to be recorded; `None` where format or names are not known.
+pub(super) fn to_wish(wire: v1::StartRecordingRequest) -> Option<Wish> {
+    let known = |known: &Format| format(*known) as i32 == wire.format;
+    let mut all = Names::ALL.into_iter().map(Some).chain([None]);
+    Some(Wish {
+        format: Format::ALL.into_iter().find(known)?,
+        names: all.find(|known| names(*known) as i32 == wire.names)?,
+        name: wire.name,
+    })
+}
+
+/// A wish to record as a message.
+pub(crate) fn wish(wish: &Wish) -> v1::StartRecordingRequest {
+    v1::StartRecordingRequest {
+        format: format(wish.format).into(),
+        name: wish.name.clone(),
+        names: names(wish.names).into(),
+    }
+}
+
+/// A recording as a message.
+pub(super) fn recording(recording: &Recording) -> v1::Recording {
+    v1::Recording {
+        path: recording.path.display().to_string(),
+        format: format(recording.format).into(),
+        poses: recording.poses,
+        lost: recording.lost,
+        error: recording.error.clone().unwrap_or_default(),
+    }
+}
+
+/// The answer to `GetControlState`.
+pub(super) fn control_state(
+    wearer: &Wearer,
+    chosen: TrackerKind,
+    trackers: &[TrackerKind],
+    recorded: Option<&Recording>,
+) -> v1::GetControlStateResponse {
+    v1::GetControlStateResponse {
+        height_m: wearer.height,
+        tracker: tracker(chosen).into(),
+        trackers: trackers.iter().map(|kind| tracker(*kind).into()).collect(),
+        recording: recorded.map(recording),
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use posed_signal::{DeviceId, Serial};
@@ -355,6 +451,23 @@ mod tests {
             Quality::Full,
         ] {
             assert_eq!(to_quality(quality(known)), Ok(known));
+        }
+    }
+
+    #[test]
+    fn wishes_to_record_survive_the_way_there_and_back() {
+        let all_names = Names::ALL.into_iter().map(Some).chain([None]);
+        for (format, names) in Format::ALL.into_iter().cycle().zip(all_names) {
+            let before = Wish {
+                format,
+                name: "walk".into(),
+                names,
+            };
+            assert_eq!(to_wish(wish(&before)), Some(before));
+        }
+        assert_eq!(to_wish(v1::StartRecordingRequest::default()), None);
+        for known in [Stance::TPose, Stance::Straight] {
+            assert_eq!(to_stance(stance(known)), Some(known));
         }
     }
 

@@ -118,12 +118,12 @@ impl Hub {
     }
 
     /// Sequence number of the newest pose that [`Hub::next`] knows.
-    pub(super) fn newest(&self) -> Option<u64> {
+    pub(crate) fn newest(&self) -> Option<u64> {
         lock(&self.window).newest().map(|pose| pose.sequence)
     }
 
     /// See [`Window::next`].
-    pub(super) fn next(&self, after: Option<u64>, behind: Behind) -> Option<(PublishedPose, u64)> {
+    pub(crate) fn next(&self, after: Option<u64>, behind: Behind) -> Option<(PublishedPose, u64)> {
         lock(&self.window)
             .next(after, behind)
             .map(|(pose, gap)| (*pose, gap))

@@ -4,19 +4,21 @@
 //! [`serve`] joins them. Only [`convert`] knows both the domain and the messages.
 
 mod accept;
+mod control_service;
 pub mod convert;
 mod device_service;
 mod health;
 mod hub;
 pub mod listen;
 mod pose_service;
-mod services;
+pub(crate) mod services;
 mod window;
 
 use std::{io, time::Duration};
 
 use posed_proto::v1::{
-    device_service_server::DeviceServiceServer, pose_service_server::PoseServiceServer,
+    control_service_server::ControlServiceServer, device_service_server::DeviceServiceServer,
+    pose_service_server::PoseServiceServer,
 };
 use tokio::{sync::watch, task::JoinSet, time};
 use tonic::{
@@ -29,10 +31,11 @@ use tonic_health::{pb::health_server::HealthServer, server::HealthService};
 pub use hub::{Hub, PoseSink};
 pub use listen::{ListenError, Listeners};
 pub use services::Services;
+pub(crate) use window::Behind;
 
 /// Streams that one connection may have open.
 const STREAMS_MAX: u32 = 32;
-/// Bytes of a request: the longest takes 12.
+/// Bytes of a request: the longest takes under 100.
 const REQUEST_BYTES_MAX: usize = 4096;
 /// Bytes of a request's headers.
 const HEADER_BYTES_MAX: u32 = 16 * 1024;
@@ -112,6 +115,9 @@ fn routes(
         services: services.clone(),
         stop: stop.clone(),
     };
+    let controls = control_service::Controls {
+        services: services.clone(),
+    };
     let reflection = || {
         tonic_reflection::server::Builder::configure()
             .register_encoded_file_descriptor_set(posed_proto::FILE_DESCRIPTOR_SET)
@@ -121,6 +127,9 @@ fn routes(
     routes
         .add_service(PoseServiceServer::new(poses).max_decoding_message_size(REQUEST_BYTES_MAX))
         .add_service(DeviceServiceServer::new(devices).max_decoding_message_size(REQUEST_BYTES_MAX))
+        .add_service(
+            ControlServiceServer::new(controls).max_decoding_message_size(REQUEST_BYTES_MAX),
+        )
         .add_service(health)
         .add_service(reflection().build_v1()?)
         .add_service(reflection().build_v1alpha()?);

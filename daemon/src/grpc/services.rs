@@ -7,7 +7,7 @@ use posed_tracker::Wearer;
 use tokio::sync::watch;
 
 use super::hub::Hub;
-use crate::published::DeviceState;
+use crate::{control::Control, output::record::Recorder, published::DeviceState};
 
 /// What the services hand out.
 #[derive(Clone)]
@@ -20,6 +20,10 @@ pub struct Services {
     pub wearer: watch::Receiver<Wearer>,
     /// The clock that the poses' times are told by.
     pub clock: Arc<dyn Clock + Send + Sync>,
+    /// The way of requests to the tracker.
+    pub control: Arc<Control>,
+    /// Writes poses to files.
+    pub recorder: Recorder,
 }
 
 impl fmt::Debug for Services {
@@ -27,5 +31,38 @@ impl fmt::Debug for Services {
         f.debug_struct("Services")
             .field("hub", &self.hub)
             .finish_non_exhaustive()
+    }
+}
+
+#[cfg(test)]
+pub(crate) mod tests {
+    use std::path::Path;
+
+    use posed_signal::{HostTime, ring::Consumer};
+
+    use super::*;
+    use crate::{control::tests::control, pipeline::tracking::Request};
+
+    /// The other ends of what services are given.
+    pub(crate) struct Ends {
+        pub(crate) devices: watch::Sender<Vec<DeviceState>>,
+        pub(crate) requests: Consumer<Request>,
+    }
+
+    /// Services for the poses of `hub`, with a wearer of 1.8 m and a clock that stands at
+    /// 123,456 ns. They record into `folder`.
+    pub(crate) fn services(hub: &Hub, folder: Option<&Path>) -> (Services, Ends) {
+        let (devices, devices_seen) = watch::channel(Vec::new());
+        let (wearer, wearer_seen) = watch::channel(Wearer::of_height(1.8));
+        let (control, requests) = control(wearer);
+        let services = Services {
+            hub: hub.clone(),
+            devices: devices_seen,
+            wearer: wearer_seen,
+            clock: Arc::new(HostTime(123_456)),
+            control: Arc::new(control),
+            recorder: Recorder::new(hub.clone(), folder.map(Into::into), 90.0),
+        };
+        (services, Ends { devices, requests })
     }
 }

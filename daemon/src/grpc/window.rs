@@ -35,7 +35,7 @@ impl Default for Window {
 
 /// How a reader that has fallen behind goes on.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Behind {
+pub(crate) enum Behind {
     /// With the next pose in order if it is at most so many behind the newest, else the newest.
     CatchUp(usize),
     /// With the oldest pose that is still there.

@@ -8,6 +8,7 @@ pub mod jsonl;
 pub mod motion;
 pub mod names;
 pub mod osc;
+pub mod record;
 pub mod start;
 pub mod vmc;
 pub mod vrchat;

@@ -77,9 +77,10 @@ pub(super) fn hello(page: &Page) -> Value {
         "parents": skeleton::PARENTS,
         "roles": Role::ALL.map(Role::name),
         "tracker_names": TrackerKind::ALL.map(TrackerKind::name),
-        "trackers": page.trackers.iter().map(|kind| kind.name()).collect::<Vec<_>>(),
+        "trackers": page.services.control.trackers().iter().map(|kind| kind.name()).collect::<Vec<_>>(),
         "rate_hz": page.rate_hz,
         "stations": stations,
+        "objects": [],
     }})
 }
 
@@ -140,6 +141,11 @@ pub(super) fn status(page: &Page) -> Value {
         "height_m": page.services.wearer.borrow().height,
         "devices": devices,
         "ticks": ticks,
+        "recording": page.services.recorder.recording().map(|recording| json!({
+            "poses": recording.poses,
+            "error": recording.error,
+        })),
+        "replay": page.playback.as_ref().map(|playback| playback.position()),
     }})
 }
 

@@ -21,7 +21,6 @@ use axum::{
     routing::{get, post},
 };
 use posed_device::lighthouse::base_station::BaseStation;
-use posed_tracker::TrackerKind;
 use tokio::{
     runtime::Handle,
     sync::{Semaphore, watch},
@@ -30,7 +29,7 @@ use tokio::{
 use crate::{
     config,
     grpc::Services,
-    pipeline::{live::Shared, tracking::Request},
+    pipeline::{live::Shared, playback::Playback},
 };
 use guard::Access;
 
@@ -74,14 +73,12 @@ pub struct Page {
     pub services: Services,
     /// The tracker loop's counters; absent in a replay.
     pub ticks: Option<Arc<Shared>>,
+    /// Where a replay stands; absent when live.
+    pub playback: Option<Arc<Playback>>,
     /// Poses a second that the tracker is set to.
     pub rate_hz: f64,
-    /// Trackers that can be chosen.
-    pub trackers: Vec<TrackerKind>,
     /// Base stations that are known.
     pub stations: Vec<Station>,
-    /// Hands a request to the tracker; `false` where too many are waiting.
-    pub request: Arc<dyn Fn(Request) -> bool + Send + Sync>,
 }
 
 impl fmt::Debug for Page {
@@ -219,13 +216,10 @@ async fn control(State(shelf): State<Shelf>, headers: HeaderMap, body: Bytes) ->
     {
         return (StatusCode::UNSUPPORTED_MEDIA_TYPE, "send application/json").into_response();
     }
-    match control::parse(&body, &shelf.page.trackers) {
-        Ok(request) if (shelf.page.request)(request) => StatusCode::NO_CONTENT.into_response(),
-        Ok(_) => {
-            let text = "too many requests are waiting; try again";
-            (StatusCode::SERVICE_UNAVAILABLE, text).into_response()
-        }
-        Err(text) => (StatusCode::BAD_REQUEST, text).into_response(),
+    match control::take(&body, &shelf.page).await {
+        Ok(text) if text.is_empty() => StatusCode::NO_CONTENT.into_response(),
+        Ok(text) => text.into_response(),
+        Err(refusal) => refusal.into_response(),
     }
 }
 

@@ -1,8 +1,7 @@
-use std::{net::SocketAddr, sync::Mutex, time::Duration};
+use std::{net::SocketAddr, time::Duration};
 
 use futures_util::{SinkExt as _, StreamExt as _};
 use posed_signal::HostTime;
-use posed_tracker::Wearer;
 use tokio::{
     io::{AsyncReadExt as _, AsyncWriteExt as _},
     net::TcpStream,
@@ -17,8 +16,12 @@ use tokio_tungstenite::{
 
 use super::*;
 use crate::{
-    grpc::{Hub, PoseSink},
-    published::{DeviceState, tests::pose_at},
+    grpc::{
+        Hub, PoseSink,
+        services::tests::{Ends, services},
+    },
+    pipeline::tracking::Request,
+    published::tests::pose_at,
 };
 
 const PATIENCE: Duration = Duration::from_secs(20);
@@ -28,9 +31,7 @@ struct Served {
     addr: SocketAddr,
     sink: PoseSink,
     hub: Hub,
-    _devices: watch::Sender<Vec<DeviceState>>,
-    _wearer: watch::Sender<Wearer>,
-    requests: Arc<Mutex<Vec<Request>>>,
+    ends: Ends,
     stop: oneshot::Sender<()>,
     server: JoinHandle<io::Result<()>>,
 }
@@ -38,30 +39,13 @@ struct Served {
 impl Served {
     fn new(access: Access) -> Self {
         let (sink, hub) = Hub::new().unwrap();
-        let (devices, devices_seen) = watch::channel(Vec::new());
-        let (wearer, wearer_seen) = watch::channel(Wearer::of_height(1.75));
-        let requests: Arc<Mutex<Vec<Request>>> = Arc::default();
-        let taken = Arc::clone(&requests);
+        let (services, ends) = services(&hub, None);
         let page = Page {
-            services: Services {
-                hub: hub.clone(),
-                devices: devices_seen,
-                wearer: wearer_seen,
-                clock: Arc::new(HostTime(0)),
-            },
+            services,
             ticks: None,
+            playback: None,
             rate_hz: 90.0,
-            trackers: vec![TrackerKind::Ik],
             stations: Vec::new(),
-            // Two requests may wait.
-            request: Arc::new(move |request| {
-                let mut taken = taken.lock().unwrap();
-                let has_room = taken.len() < 2;
-                if has_room {
-                    taken.push(request);
-                }
-                has_room
-            }),
         };
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
         let addr = listener.local_addr().unwrap();
@@ -74,9 +58,7 @@ impl Served {
             addr,
             sink,
             hub,
-            _devices: devices,
-            _wearer: wearer,
-            requests,
+            ends,
             stop,
             server,
         }
@@ -176,25 +158,14 @@ fn status(answer: &str) -> u16 {
 async fn the_configuration_says_where_and_whether() {
     let page = || {
         let (sink, hub) = Hub::new().unwrap();
-        let services = Services {
-            hub,
-            devices: watch::channel(Vec::new()).1,
-            wearer: watch::channel(Wearer::of_height(1.75)).1,
-            clock: Arc::new(HostTime(0)),
+        let page = Page {
+            services: services(&hub, None).0,
+            ticks: None,
+            playback: None,
+            rate_hz: 90.0,
+            stations: Vec::new(),
         };
-        let (trackers, stations) = (Vec::new(), Vec::new());
-        let request = Arc::new(|_: Request| false);
-        (
-            sink,
-            Page {
-                services,
-                ticks: None,
-                rate_hz: 90.0,
-                trackers,
-                stations,
-                request,
-            },
-        )
+        (sink, page)
     };
     let start = |listen: Option<SocketAddr>, page| {
         start(
@@ -270,7 +241,7 @@ async fn the_page_is_whole_and_asks_for_nothing_from_outside() {
 
 #[tokio::test]
 async fn buttons_reach_the_tracker_and_nonsense_does_not() {
-    let served = Served::new(Access::local());
+    let mut served = Served::new(Access::local());
     assert_eq!(status(&served.post("{\"height_m\": 5}").await), 400);
     assert_eq!(
         status(&served.post(&" ".repeat(BODY_BYTES_MAX + 1)).await),
@@ -286,23 +257,21 @@ async fn buttons_reach_the_tracker_and_nonsense_does_not() {
         .await;
     assert_eq!(status(&form), 415);
     assert_eq!(status(&served.get("/control").await), 405);
-    assert_eq!(*served.requests.lock().unwrap(), []);
+    assert_eq!(served.ends.requests.pop(), None);
     assert_eq!(status(&served.post("\"reset\"").await), 204);
     assert_eq!(status(&served.post("{\"height_m\": 1.6}").await), 204);
-    assert_eq!(
-        *served.requests.lock().unwrap(),
-        [Request::Reset, Request::Height(1.6)]
-    );
     assert_eq!(
         status(&served.post("\"reset\"").await),
         503,
         "two are waiting"
     );
+    assert_eq!(served.ends.requests.pop(), Some(Request::Reset));
+    assert_eq!(served.ends.requests.pop(), Some(Request::Height(1.6)));
 }
 
 #[tokio::test]
 async fn other_sites_and_other_names_are_kept_out() {
-    let served = Served::new(Access::local());
+    let mut served = Served::new(Access::local());
     let json = "Content-Type: application/json\r\n";
     for header in [
         "Origin: http://evil.example\r\n",
@@ -319,7 +288,7 @@ async fn other_sites_and_other_names_are_kept_out() {
             "{header}"
         );
     }
-    assert_eq!(*served.requests.lock().unwrap(), []);
+    assert_eq!(served.ends.requests.pop(), None);
     assert!(
         served
             .browser("http://evil.example")
@@ -356,9 +325,9 @@ async fn a_browser_gets_the_newest_pose_for_each_credit_and_none_without() {
     let mut served = Served::new(Access::local());
     let mut browser = served.own_browser().await.unwrap();
     let hello = browser.json().await;
-    assert_eq!(hello["hello"]["trackers"], serde_json::json!(["ik"]));
+    assert_eq!(hello["hello"]["trackers"], serde_json::json!(["ik", "pip"]));
     assert_eq!(hello["hello"]["parents"].as_array().map(Vec::len), Some(22));
-    assert_eq!(browser.json().await["status"]["height_m"], 1.75);
+    assert_eq!(browser.json().await["status"]["height_m"], 1.8f32);
     for sequence in 1..=5 {
         served
             .sink

@@ -30,6 +30,12 @@ impl LatencyModel {
         }
     }
 
+    /// How far beyond the tick poses are made for, ns.
+    #[must_use]
+    pub fn horizon_ns(&self) -> i64 {
+        self.horizon_ns
+    }
+
     /// The target time of a tick at `now`; never before that of an earlier tick.
     pub fn target(&mut self, now: HostTime) -> HostTime {
         self.last_target = self.last_target.max(now.plus_ns(self.horizon_ns));

@@ -8,7 +8,8 @@ use posed_signal::{
     device::DEVICES_MAX, latest::Reader, ring::Consumer,
 };
 use posed_tracker::{
-    Input, Tracked, Tracker, TrackerKind, Wearer, ik::Ik, sensors::Mounts, tracker::NO_INERTIAL,
+    Input, Stance, Tracked, Tracker, TrackerKind, Wearer, ik::Ik, sensors::Mounts,
+    tracker::NO_INERTIAL,
 };
 
 use super::latency::LatencyModel;
@@ -35,6 +36,8 @@ pub enum Request {
     Height(f32),
     /// Work with this tracker from now on.
     Tracker(TrackerKind),
+    /// The wearer stands in this stance now.
+    Calibrate(Stance),
 }
 
 /// Where samples come from and requests arrive.
@@ -133,6 +136,18 @@ impl TrackerLoop {
         self.publication(clock, now, target, &parts, tracked)
     }
 
+    /// What another loop needs to go on in this one's place, its past forgotten.
+    #[must_use]
+    pub fn into_setup(mut self) -> Setup {
+        self.reset();
+        Setup {
+            trackers: self.trackers,
+            choice: self.choice,
+            wearer: self.wearer,
+            horizon_ns: self.latency.horizon_ns(),
+        }
+    }
+
     /// Counters so far.
     #[must_use]
     pub fn counters(&self) -> Counters {
@@ -158,6 +173,12 @@ impl TrackerLoop {
                 Some(Request::Tracker(kind)) => {
                     self.choice = kind;
                     self.reset();
+                }
+                Some(Request::Calibrate(stance)) => {
+                    self.fallback.calibrate(stance);
+                    for tracker in &mut self.trackers {
+                        tracker.calibrate(stance);
+                    }
                 }
             }
         }

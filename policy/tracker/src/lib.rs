@@ -16,4 +16,4 @@ pub use hmd_nemo::HmdNemo;
 pub use ik::Ik;
 pub use physics::Physical;
 pub use sensors::{Mount, Mounts};
-pub use tracker::{Input, Quality, Tracked, Tracker, TrackerKind, Wearer};
+pub use tracker::{Input, Quality, Stance, Tracked, Tracker, TrackerKind, Wearer};

@@ -68,6 +68,35 @@ impl Quality {
     }
 }
 
+/// A stance that the wearer takes to calibrate: upright, feet together, looking straight ahead.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub enum Stance {
+    /// Arms stretched out sideways, palms down: the skeleton's rest pose.
+    TPose,
+    /// Arms hanging, palms inwards.
+    Straight,
+}
+
+impl Stance {
+    /// Every stance.
+    pub const ALL: [Self; 2] = [Self::TPose, Self::Straight];
+
+    /// The word on the command line.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::TPose => "t-pose",
+            Self::Straight => "straight",
+        }
+    }
+
+    /// The inverse of [`Stance::name`].
+    #[must_use]
+    pub fn from_name(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|stance| stance.name() == name)
+    }
+}
+
 /// The wearer.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Wearer {
@@ -143,6 +172,10 @@ pub trait Tracker: Send {
 
     /// Forgets the past: the next tick starts from what the devices then say.
     fn reset(&mut self);
+
+    /// The wearer stands in `stance` at the next tick. Trackers whose sensors say themselves how
+    /// they are worn have nothing to learn from it.
+    fn calibrate(&mut self, _stance: Stance) {}
 
     /// The body pose at `input.target`. Target times never decrease between resets.
     fn track(&mut self, input: &Input<'_>) -> Tracked;

@@ -5,7 +5,11 @@ mod screen;
 
 use std::{
     io::{Cursor, IsTerminal as _},
-    sync::Arc,
+    path::{Path, PathBuf},
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering},
+    },
     thread,
 };
 
@@ -14,23 +18,29 @@ use posed_device::{
     lighthouse::base_station::parse_libsurvive,
     transport::{Merge, Recording, Replay},
 };
-use posed_signal::{Clock as _, DeviceId, HostTime, Sample};
+use posed_signal::{Clock as _, DeviceId, HostTime, Sample, ring::Producer};
 use posed_tracker::{TrackerKind, Wearer};
 
-use super::{CommandError, Tally, live, replay::Broadcast, settings};
+use super::{
+    CommandError, Tally,
+    broadcast::{self, Broadcast, Open},
+    live, settings,
+};
 use crate::{
     assemble::{Assembly, Options, assemble},
     cli::DemoArgs,
     clock::Monotonic,
     config::{self, Grpc, Loopback, UnixSocket},
-    control::Control,
+    grpc::PoseSink,
     page::{self, Page, Station},
     pipeline::{
+        playback::Playback,
         replay::{Watcher, replay as run_replay},
         source::Source,
+        tracking::Request,
     },
     published::PublishedPose,
-    serving::Serving,
+    serving::{self, Serving},
 };
 use screen::Screen;
 
@@ -81,52 +91,56 @@ pub fn options() -> Result<Options, CommandError> {
 /// A socket or thread cannot be had.
 pub fn run(args: &DemoArgs) -> Result<(), CommandError> {
     let folder = std::env::temp_dir().join(format!("posed-demo-{}", std::process::id()));
-    let socket = folder.join("posed.sock");
-    let grpc = Grpc {
-        unix: UnixSocket::At(socket.clone()),
-        tcp: args.listen.map(Loopback::try_from).transpose()?,
-    };
-    let wearer = Wearer::of_height(HEIGHT);
-    let (sink, serving) = Serving::start(&grpc, None, wearer, Arc::new(Monotonic))?;
-    for name in serving.names() {
-        println!("serving on {name}");
-    }
-    let terminal = std::io::stdout().is_terminal();
-    let devices = serving.devices().subscribe();
-    let screen = Screen::follow(serving.runtime(), &socket, devices, terminal);
-
     let options = Options {
         trackers: settings::trackers(TRACKER),
         tracker: TRACKER,
         ..options()?
     };
-    let stations = &options.rig.devices.lighthouse.base_stations;
+    let rig = options.rig.clone();
+    let stations = &rig.devices.lighthouse.base_stations;
     let stations = stations.iter().map(Station::from).collect();
+    let trackers = options.choices();
+    let open: Open = Arc::new(|| Ok(Box::new(replay()?)));
     let Assembly {
         mut source,
         mut tracker,
         requests,
-    } = assemble(Box::new(replay()?), options);
-    let control = Control::new(requests, serving.wearer());
-    match page(&serving, control, stations) {
+    } = assemble(open()?, options);
+    let (sink, serving) = serve(args, &folder, requests, trackers)?;
+    for name in serving.names() {
+        println!("serving on {name}");
+    }
+    let terminal = std::io::stdout().is_terminal();
+    let devices = serving.devices().subscribe();
+    let screen = Screen::follow(serving.runtime(), &socket(&folder), devices, terminal);
+    let playback = Arc::new(Playback::default());
+    broadcast::measure(&open, &playback)?;
+    match page(args, &serving, &playback, stations) {
         Ok(Some(url)) => println!("the live page is at {url}"),
         Ok(None) => {}
         // Another posed may be running; the demo goes on without its page.
         Err(error) => println!("{error}"),
     }
+    let begun = Monotonic.now();
     let mut served = Served {
-        broadcast: Broadcast::new(1.0, sink, serving.devices()),
+        broadcast: Broadcast::new(Some(1.0), sink, &serving, playback),
         tally: Tally::default(),
         stop: live::stop_flag()?,
-        end_s: args.seconds,
-        first: None,
+        end: args.seconds.map(|seconds| begun.plus_secs(seconds)),
     };
-    let begun = Monotonic.now();
-    let span = thread::scope(|scope| {
-        let work = || run_replay(&mut source, &mut tracker, RATE_HZ, &mut served);
-        scope.spawn(work).join()
-    })
-    .map_err(|_| CommandError::Input("the replay's thread failed; this is a bug".into()))?;
+    let span = loop {
+        let pass = thread::scope(|scope| {
+            let work = || run_replay(&mut source, &mut tracker, RATE_HZ, &mut served);
+            scope.spawn(work).join()
+        });
+        let failed = |_| CommandError::Input("the replay's thread failed; this is a bug".into());
+        let span = pass.map_err(failed)?;
+        if served.is_over() || !served.broadcast.rewind(args.again) {
+            break span;
+        }
+        let control = &serving.services().control;
+        (source, tracker) = broadcast::renew(&open, rig.clone(), tracker, control)?;
+    };
     let wall_s = Monotonic.now().since_secs(begun);
     let report = served
         .tally
@@ -138,37 +152,75 @@ pub fn run(args: &DemoArgs) -> Result<(), CommandError> {
     Ok(())
 }
 
+fn socket(folder: &Path) -> PathBuf {
+    folder.join("posed.sock")
+}
+
+/// Serves on a socket of the demo's own, beside any other posed.
+fn serve(
+    args: &DemoArgs,
+    folder: &Path,
+    requests: Producer<Request>,
+    trackers: Vec<TrackerKind>,
+) -> Result<(PoseSink, Serving), CommandError> {
+    let grpc = Grpc {
+        unix: UnixSocket::At(socket(folder)),
+        tcp: args.listen.map(Loopback::try_from).transpose()?,
+    };
+    let setup = serving::Setup {
+        grpc: &grpc,
+        runtime_dir: None,
+        recordings: config::files::recordings_dir(),
+        wearer: Wearer::of_height(HEIGHT),
+        rate_hz: RATE_HZ,
+        requests,
+        tracker: TRACKER,
+        trackers,
+        clock: Arc::new(Monotonic),
+    };
+    Ok(Serving::start(setup)?)
+}
+
 fn page(
+    args: &DemoArgs,
     serving: &Serving,
-    control: Control,
+    playback: &Arc<Playback>,
     stations: Vec<Station>,
 ) -> Result<Option<String>, page::PageError> {
     let page = Page {
         services: serving.services().clone(),
         ticks: None,
+        playback: Some(Arc::clone(playback)),
         rate_hz: RATE_HZ,
-        trackers: vec![TRACKER, TrackerKind::Ik],
         stations,
-        request: Arc::new(move |request| control.request(request)),
     };
-    page::start(serving.runtime().handle(), &config::Page::default(), page)
+    let mut config = config::Page::default();
+    config.listen = args.page.or(config.listen);
+    page::start(serving.runtime().handle(), &config, page)
 }
 
 /// Serves a replay at real speed.
 struct Served {
     broadcast: Broadcast,
     tally: Tally,
-    stop: Arc<std::sync::atomic::AtomicBool>,
-    end_s: Option<f64>,
-    first: Option<HostTime>,
+    stop: Arc<AtomicBool>,
+    end: Option<HostTime>,
+}
+
+impl Served {
+    fn is_over(&self) -> bool {
+        is_over(&self.stop, self.end)
+    }
+}
+
+fn is_over(stop: &AtomicBool, end: Option<HostTime>) -> bool {
+    stop.load(Ordering::Relaxed) || end.is_some_and(|end| Monotonic.now() > end)
 }
 
 impl Watcher for Served {
     fn pace(&mut self, time: HostTime) -> bool {
-        let first = *self.first.get_or_insert(time);
-        self.broadcast.wait(time);
-        let over = self.end_s.is_some_and(|end| time.since_secs(first) > end);
-        !over && !self.stop.load(std::sync::atomic::Ordering::Relaxed)
+        let (stop, end) = (&self.stop, self.end);
+        self.broadcast.wait(time, || is_over(stop, end))
     }
 
     fn sample(&mut self, _device: DeviceId, _sample: &Sample) {}

@@ -1,9 +1,8 @@
 //! A server in the test's own process, on real sockets.
 
-use std::{net::SocketAddr, path::PathBuf, sync::Arc};
+use std::{net::SocketAddr, path::PathBuf};
 
-use posed_signal::HostTime;
-use posed_tracker::Wearer;
+use posed_signal::{HostTime, ring::Consumer};
 use tokio::{
     sync::{oneshot, watch},
     task::JoinHandle,
@@ -13,7 +12,11 @@ use tonic::transport::Channel;
 use crate::{
     config::{Grpc, Loopback, UnixSocket},
     follow::Server,
-    grpc::{Hub, Listeners, PoseSink, ServeError, Services, serve},
+    grpc::{
+        Hub, Listeners, PoseSink, ServeError, serve,
+        services::tests::{Ends, services},
+    },
+    pipeline::tracking::Request,
     published::{DeviceState, PublishedPose, tests::pose_at},
 };
 
@@ -29,8 +32,8 @@ pub(super) struct Fixture {
     pub(super) tcp: SocketAddr,
     stop: Option<oneshot::Sender<()>>,
     server: JoinHandle<Result<(), ServeError>>,
+    pub(super) requests: Consumer<Request>,
     _folder: tempfile::TempDir,
-    _wearer: watch::Sender<Wearer>,
 }
 
 impl Fixture {
@@ -45,14 +48,8 @@ impl Fixture {
         let listeners = Listeners::open(&config, None).unwrap();
         let tcp = listeners.tcp_addrs().next().unwrap();
         let (sink, hub) = Hub::new().unwrap();
-        let (devices, devices_seen) = watch::channel(Vec::new());
-        let (wearer, wearer_seen) = watch::channel(Wearer::of_height(1.8));
-        let services = Services {
-            hub: hub.clone(),
-            devices: devices_seen,
-            wearer: wearer_seen,
-            clock: Arc::new(HostTime(123_456)),
-        };
+        let recordings = folder.path().join("recordings");
+        let (services, Ends { devices, requests }) = services(&hub, Some(&recordings));
         let (stop, stopped) = oneshot::channel::<()>();
         let server = tokio::spawn(serve(services, listeners, async {
             let _ = stopped.await;
@@ -65,8 +62,8 @@ impl Fixture {
             tcp,
             stop: Some(stop),
             server,
+            requests,
             _folder: folder,
-            _wearer: wearer,
         }
     }
 

@@ -91,7 +91,7 @@ function takePose(view) {
   }
   span += pose && sequence > pose.sequence ? sequence - pose.sequence : 1;
   say("");
-  pose = { sequence, quality, tracker, joints, devices };
+  pose = { sequence, quality, tracker, joints, devices, contacts: [] };
   isNew = true;
 }
 
@@ -102,7 +102,14 @@ function takeText(message) {
 
 function takeHello(news) {
   hello = news;
-  if (scene) scene.stations = hello.stations;
+  if (scene) {
+    scene.stations = hello.stations;
+    scene.objects = hello.objects;
+    scene.isDirty = true;
+  }
+  listed.clear();
+  find("devices").replaceChildren();
+  delete find("trackers").dataset.pressed;
   find("trackers").replaceChildren(...hello.trackers.map((name) => {
     const button = document.createElement("button");
     button.type = "button";
@@ -128,11 +135,18 @@ function frame(now) {
   set(find("quality"), text, state);
   const by = hello?.tracker_names[pose.tracker] ?? "";
   set(find("by"), by && `by ${by}`);
-  for (const button of find("trackers").children) {
-    button.setAttribute("aria-pressed", String(button.dataset.tracker === by));
-  }
+  press(find("trackers"), by);
   document.body.dataset.sequence = pose.sequence;
   if (socket.readyState === WebSocket.OPEN) socket.send("1");
+}
+
+// Shows which of a group's buttons holds, once for each change.
+function press(group, name) {
+  if (group.dataset.pressed === name) return;
+  group.dataset.pressed = name;
+  for (const button of group.children) {
+    button.setAttribute("aria-pressed", String(button.dataset.tracker === name));
+  }
 }
 
 // Writes only what changed: a status that is read aloud must not repeat itself.
@@ -141,19 +155,18 @@ function set(element, text, state) {
   if (state && element.dataset.state !== state) element.dataset.state = state;
 }
 
-function takeStatus({ height_m, devices, ticks }) {
+function takeStatus({ height_m, devices, ticks, recording, replay }) {
   if (height !== height_m) {
     height = height_m;
     if (document.activeElement !== find("height")) {
       find("height").value = Math.round(height * 100);
     }
   }
+  takeRecording(recording);
+  takeReplay(replay);
   const connected = devices.filter((device) => device.connected).length;
   find("device-count").textContent = devices.length ? `${connected} of ${devices.length}` : "";
-  const none = document.createElement("li");
-  none.className = "none";
-  none.textContent = "None is plugged in.";
-  find("devices").replaceChildren(...(devices.length ? devices.map(deviceItem) : [none]));
+  listDevices(devices);
   if (ticks) {
     write(find("tick-figures"), [
       ["late ticks", `${ticks.late} of ${ticks.done}`],
@@ -161,6 +174,48 @@ function takeStatus({ height_m, devices, ticks }) {
       ["real-time", ticks.real_time ? "yes" : "no"],
     ]);
   }
+}
+
+// Items are made anew only where something else than numbers changed: laying out is dear.
+const listed = new Map();
+function listDevices(devices) {
+  const list = find("devices");
+  if (devices.length === 0) {
+    if (list.firstChild?.className === "none") return;
+    const none = document.createElement("li");
+    none.className = "none";
+    none.textContent = "None is plugged in.";
+    list.replaceChildren(none);
+    listed.clear();
+    return;
+  }
+  list.querySelector(".none")?.remove();
+  for (const device of devices) {
+    const { id, serial, model, role, connected, charge, charging, how } = device;
+    const shape = JSON.stringify([serial, model, role, connected, charge, charging, how]);
+    let known = listed.get(id);
+    if (known?.shape !== shape) {
+      const item = deviceItem(device);
+      if (known) known.item.replaceWith(item);
+      else list.append(item);
+      known = { shape, item };
+      listed.set(id, known);
+    }
+    deviceNumbers(known.item, device);
+  }
+}
+
+function deviceNumbers(item, device) {
+  if (!device.connected) return;
+  const numbers = [`${Math.round(device.rate_hz)}/s`,
+    `${Math.round(device.tracked_share * 100)} % of the time`];
+  if (device.residual_rad > 0) numbers.push(`${(device.residual_rad * 1000).toFixed(2)} mrad`);
+  if (device.errors) numbers.push(`${device.errors} errors`);
+  if (device.dropped) numbers.push(`${device.dropped} dropped`);
+  set(item.querySelector(".numbers"), numbers.join(" · "));
+  const width = `${Math.round(device.tracked_share * 100)}%`;
+  const bar = item.querySelector(".share i");
+  if (bar.style.width !== width) bar.style.width = width;
 }
 
 function deviceItem(device) {
@@ -192,15 +247,8 @@ function deviceItem(device) {
   }
   part("span", "what", [device.model, device.serial].filter(Boolean).join(" · "));
   if (!device.connected) return item;
-  const numbers = [`${Math.round(device.rate_hz)}/s`,
-    `${Math.round(device.tracked_share * 100)} % of the time`];
-  if (device.residual_rad > 0) numbers.push(`${(device.residual_rad * 1000).toFixed(2)} mrad`);
-  if (device.errors) numbers.push(`${device.errors} errors`);
-  if (device.dropped) numbers.push(`${device.dropped} dropped`);
-  part("span", "numbers", numbers.join(" · "));
-  const bar = document.createElement("i");
-  bar.style.width = `${Math.round(device.tracked_share * 100)}%`;
-  part("span", "share", "").append(bar);
+  part("span", "numbers", "");
+  part("span", "share", "").append(document.createElement("i"));
   return item;
 }
 
@@ -208,7 +256,53 @@ setInterval(() => {
   const now = performance.now() / 1000;
   ages.draw(now);
   intervals.draw(now);
-}, 125);
+}, 250);
+
+// ---- recording and replay
+
+let isRecording = false;
+function takeRecording(recording) {
+  isRecording = Boolean(recording);
+  const button = find("record");
+  set(button, isRecording ? "Stop" : "Start");
+  if (button.getAttribute("aria-pressed") !== String(isRecording)) {
+    button.setAttribute("aria-pressed", String(isRecording));
+    find("format").disabled = isRecording;
+  }
+  set(find("recorded"), recording ? recording.error ?? `${recording.poses} poses` : "");
+}
+
+let replaying = null;
+let isSeeking = false;
+function takeReplay(replay) {
+  replaying = replay;
+  const bar = find("replay");
+  if (bar.hidden === Boolean(replay)) bar.hidden = !replay;
+  if (!replay) return;
+  const time = find("time");
+  time.max = Math.max(replay.length_s, replay.position_s);
+  if (!isSeeking) time.value = replay.position_s;
+  set(find("clock"), `${clock(isSeeking ? time.value : replay.position_s)} / `
+    + (replay.length_s ? clock(replay.length_s) : "…"));
+  const pause = find("pause");
+  set(pause, replay.paused ? "▶" : "❚❚");
+  const label = replay.paused ? "Play" : "Pause";
+  if (pause.ariaLabel !== label) pause.ariaLabel = label;
+}
+
+const clock = (seconds) => `${Math.floor(seconds / 60)}:`
+  + String(Math.floor(seconds % 60)).padStart(2, "0");
+
+find("record").onclick = () => ask(isRecording ? "stop_recording"
+  : { record: find("format").value }, "");
+find("pause").onclick = () => ask({ pause: !replaying.paused }, "");
+find("time").oninput = () => {
+  isSeeking = true;
+};
+find("time").onchange = () => {
+  isSeeking = false;
+  ask({ seek_s: Number(find("time").value) }, "");
+};
 
 let counted = { at: 0, shown: 0, span: 0 };
 setInterval(() => {
@@ -226,7 +320,9 @@ async function ask(wish, done) {
   try {
     const reply = await fetch("control", { method: "POST", body: JSON.stringify(wish),
       headers: { "Content-Type": "application/json" } });
-    if (!reply.ok) [text, state] = [await reply.text(), "bad"];
+    const said = await reply.text();
+    if (!reply.ok) [text, state] = [said, "bad"];
+    else if (said) text = said;
   } catch {
     [text, state] = ["posed does not answer.", "bad"];
   }

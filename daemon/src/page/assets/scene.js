@@ -11,9 +11,11 @@ const LIGHT = [0.35, 1, -0.45];
 const START = { yaw: 0.55, pitch: 0.17, distance: 3.6 };
 const HEADSET = 1;
 const CONTROLLERS = [2, 3];
+// Metres of arrow for each newton.
+const ARROW_M_PER_N = 1 / 1200;
 // Pixels drawn for each pixel shown, along an edge: less where drawing is slow.
 const FINENESS = { least: 0.5, most: 2 };
-const SLOW_MS = 24;
+const SLOW_MS = 19;
 const FAST_MS = 17.5;
 
 const SOLID_VERTEX = `#version 300 es
@@ -54,32 +56,45 @@ void main() {
   colour = vec4(shade, 1.0);
 }`;
 
+// A grid of lines around the wearer. Drawn as lines, it costs a browser without a graphics card
+// next to nothing; a shader over the whole floor would cost more than everything else.
 const FLOOR_VERTEX = `#version 300 es
-layout(location=0) in vec2 corner;
+layout(location=0) in vec4 line;
 uniform mat4 camera;
 uniform vec3 centre;
 out vec2 place;
+out float strength;
 void main() {
-  place = centre.xz + corner * 16.0;
+  place = line.xy + floor(centre.xz + 0.5);
+  float across = line.w > 0.5 ? place.y : place.x;
+  strength = abs(across) < 0.01 ? 1.0 : line.z;
   gl_Position = camera * vec4(place.x, 0.0, place.y, 1.0);
 }`;
 
 const FLOOR_FRAGMENT = `#version 300 es
 precision highp float;
 in vec2 place;
-uniform vec3 line, centre;
+in float strength;
+uniform vec3 colour_of_lines, centre;
 out vec4 colour;
-float grid(float cell) {
-  vec2 p = place / cell, width = fwidth(p) * 1.2;
-  vec2 near = abs(fract(p - 0.5) - 0.5) / width;
-  return (1.0 - min(min(near.x, near.y), 1.0)) * clamp(0.35 / max(width.x, width.y), 0.0, 1.0);
-}
 void main() {
-  float fade = 1.0 - smoothstep(2.0, 9.0, length(place - centre.xz));
-  float axis = 1.0 - min(min(abs(place.x) / fwidth(place.x), abs(place.y) / fwidth(place.y)) / 1.5, 1.0);
-  float strength = max(max(grid(1.0) * 0.75, grid(0.25) * 0.22), axis) * fade;
-  colour = vec4(line * strength, strength);
+  float fade = strength * (1.0 - smoothstep(2.0, 9.0, length(place - centre.xz)));
+  colour = vec4(colour_of_lines * fade, fade);
 }`;
+
+// Ends of the grid's lines: x, z, strength, and which of the two stays the same.
+function gridLines() {
+  const ends = [];
+  for (let quarter = -36; quarter <= 36; quarter++) {
+    const isMetre = quarter % 4 === 0;
+    if (!isMetre && Math.abs(quarter) > 14) continue;
+    const [far, strength] = isMetre ? [9, 0.75] : [3.5, 0.22];
+    const place = quarter / 4;
+    ends.push(place, -far, strength, 0, place, far, strength, 0,
+      -far, place, strength, 1, far, place, strength, 1);
+  }
+  return new Float32Array(ends);
+}
 
 export class Scene {
   // Throws where the browser has no WebGL 2.
@@ -106,21 +121,30 @@ export class Scene {
     this.floorArray = gl.createVertexArray();
     gl.bindVertexArray(this.floorArray);
     gl.bindBuffer(gl.ARRAY_BUFFER, gl.createBuffer());
-    gl.bufferData(gl.ARRAY_BUFFER, new Float32Array([-1, 1, 1, 1, -1, -1, 1, -1]), gl.STATIC_DRAW);
+    const lines = gridLines();
+    this.lineEnds = lines.length / 4;
+    gl.bufferData(gl.ARRAY_BUFFER, lines, gl.STATIC_DRAW);
     gl.enableVertexAttribArray(0);
-    gl.vertexAttribPointer(0, 2, gl.FLOAT, false, 0, 0);
+    gl.vertexAttribPointer(0, 4, gl.FLOAT, false, 0, 0);
     this.target = [0, 0.95, 0];
     this.facing = 0;
     this.stations = [];
+    this.objects = [];
     this.fineness = 1;
     this.interval = 1000 / 60;
     this.patience = 40;
+    // Told, not asked for: asking makes the browser lay the page out at once.
+    this.size = [canvas.clientWidth, canvas.clientHeight];
+    new ResizeObserver(([{ contentRect }]) => {
+      this.size = [contentRect.width, contentRect.height];
+    }).observe(canvas);
     this.startOver();
     this.listen();
     this.paint();
   }
 
   startOver() {
+    this.isDirty = true;
     this.yaw = START.yaw + this.facing;
     this.pitch = START.pitch;
     this.distance = START.distance;
@@ -128,6 +152,7 @@ export class Scene {
 
   // Reads the colours of the page.
   paint() {
+    this.isDirty = true;
     const style = getComputedStyle(document.documentElement);
     const colour = (name) => {
       const hex = style.getPropertyValue(`--${name}`).trim();
@@ -141,6 +166,7 @@ export class Scene {
   // "front", "side", "back" or "top", as the wearer faces now.
   look(from) {
     const turns = { front: 0, side: Math.PI / 2, back: Math.PI, top: 0 };
+    this.isDirty = true;
     this.yaw = this.facing + turns[from];
     this.pitch = from === "top" ? 1.5 : 0.1;
     this.distance = START.distance;
@@ -186,11 +212,13 @@ export class Scene {
   }
 
   drag(dx, dy) {
+    this.isDirty = true;
     this.yaw -= dx * 0.006;
     this.pitch = Math.min(Math.max(this.pitch + dy * 0.006, -0.15), 1.5);
   }
 
   zoom(factor) {
+    this.isDirty = true;
     this.distance = Math.min(Math.max(this.distance * factor, 0.8), 12);
   }
 
@@ -211,12 +239,17 @@ export class Scene {
   }
 
   // Draws a pose: `joints` of 22 { position, rotation }, `devices` of { role, lookup, tracking,
-  // position, rotation }, and its quality, 0 (held) to 3.
+  // position, rotation }, `contacts` of { position, force } and its quality, 0 (held) to 3.
+  // Nothing is done where it would look as before.
   draw(pose) {
     const { gl, canvas } = this;
     const ratio = this.fineness * Math.min(devicePixelRatio || 1, FINENESS.most);
-    const [width, height] = [canvas.clientWidth * ratio | 0, canvas.clientHeight * ratio | 0];
-    if (canvas.width !== width || canvas.height !== height) {
+    const [width, height] = this.size.map((length) => Math.max(length * ratio | 0, 1));
+    const isSame = canvas.width === width && canvas.height === height;
+    if (isSame && pose === this.drawn && !this.isDirty) return;
+    this.drawn = pose;
+    this.isDirty = false;
+    if (!isSame) {
       canvas.width = width;
       canvas.height = height;
     }
@@ -262,9 +295,9 @@ export class Scene {
     gl.disable(gl.DEPTH_TEST);
     gl.uniformMatrix4fv(floor.at("camera"), false, camera);
     gl.uniform3fv(floor.at("centre"), this.target);
-    gl.uniform3fv(floor.at("line"), this.colours.floor);
+    gl.uniform3fv(floor.at("colour_of_lines"), this.colours.floor);
     gl.bindVertexArray(this.floorArray);
-    gl.drawArrays(gl.TRIANGLE_STRIP, 0, 4);
+    gl.drawArrays(gl.LINES, 0, this.lineEnds);
   }
 
   drawSolids(camera, eye) {
@@ -306,9 +339,15 @@ export class Scene {
       const glass = add(position, turn(rotation, [0, 0, -0.026]));
       solids.box(glass, rotation, [0.026, 0.03, 0.008], this.colours.accent);
     }
+    const stuff = mix(this.colours.floor, this.colours.body, 0.35);
+    for (const { position, rotation, half, radius } of this.objects) {
+      if (radius) solids.ball(position, radius, stuff);
+      else solids.box(position, rotation, half, stuff);
+    }
     if (pose) {
       this.body(solids, pose);
       for (const device of pose.devices) this.device(solids, device);
+      for (const contact of pose.contacts) this.contact(solids, contact);
     }
   }
 
@@ -353,6 +392,13 @@ export class Scene {
       bone(in_(J.ankles[side], [0, -0.012, 0.04 * size]), at(J.toes[side]), 0.04, 0.03, colour);
       bone(at(J.toes[side]), in_(J.toes[side], [0, 0, -0.06 * size]), 0.03, 0.024, colour);
     }
+  }
+
+  // Where the body touches something, and the force on it there, newtons.
+  contact(solids, { position, force }) {
+    const { accent } = this.colours;
+    solids.box(position, [0, 0, 0, 1], [0.045, 0.006, 0.045], accent);
+    solids.arrow(position, add(position, scale(force, ARROW_M_PER_N)), 0.022, accent);
   }
 
   device(solids, { role, lookup, tracking, position, rotation }) {

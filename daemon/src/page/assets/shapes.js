@@ -1,6 +1,6 @@
 // Solids, matrices and quaternions: what the scene needs of geometry.
 
-const SEGMENTS = 16;
+const SEGMENTS = 12;
 const CORNERS_MAX = 16000;
 const STRIDE = 9;
 
@@ -14,13 +14,13 @@ function capsuleMesh(rings) {
     for (let column = 0; column < SEGMENTS; column++) {
       const angle = (column / SEGMENTS) * 2 * Math.PI;
       const radius = Math.cos(latitude);
-      corners.push([radius * Math.cos(angle), radius * Math.sin(angle), Math.sin(latitude), end]);
+      corners.push(radius * Math.cos(angle), radius * Math.sin(angle), Math.sin(latitude), end);
     }
   }
-  return { corners, triangles: stitch(rows) };
+  return { corners: new Float32Array(corners), triangles: stitch(rows) };
 }
 
-// A box with soft edges (a superellipsoid): per corner a position.
+// A box with soft edges (a superellipsoid): per corner a position (3), and a zero.
 function boxMesh(rings, sharpness) {
   const power = (value) => Math.sign(value) * Math.abs(value) ** sharpness;
   const corners = [];
@@ -30,11 +30,11 @@ function boxMesh(rings, sharpness) {
     for (let column = 0; column < SEGMENTS; column++) {
       const angle = ((column + 0.5) / SEGMENTS) * 2 * Math.PI;
       const radius = power(Math.cos(latitude));
-      corners.push([radius * power(Math.cos(angle)), radius * power(Math.sin(angle)),
-        power(Math.sin(latitude))]);
+      corners.push(radius * power(Math.cos(angle)), radius * power(Math.sin(angle)),
+        power(Math.sin(latitude)), 0);
     }
   }
-  return { corners, triangles: stitch(rows) };
+  return { corners: new Float32Array(corners), triangles: stitch(rows) };
 }
 
 // Triangles between the rows of corners, against the clock seen from outside.
@@ -48,7 +48,7 @@ function stitch(rows) {
       triangles.push(a, b, a + SEGMENTS, b, b + SEGMENTS, a + SEGMENTS);
     }
   }
-  return triangles;
+  return new Uint16Array(triangles);
 }
 
 const CAPSULE = capsuleMesh(3);
@@ -56,7 +56,7 @@ const BOX = boxMesh(5, 0.38);
 
 // Everything solid of one frame: corners of position, normal and colour, and triangles. They are
 // computed here and not on the graphics card, so that one call draws them all: a browser that
-// draws without a card pays for calls, not for corners.
+// draws without a card pays for calls, not for corners. The loops over corners make no garbage.
 export class Solids {
   corners = new Float32Array(CORNERS_MAX * STRIDE);
   triangles = new Uint16Array(CORNERS_MAX * 6);
@@ -74,34 +74,66 @@ export class Solids {
     const axis = Math.hypot(...along) > 1e-5 ? unit(along) : [0, 1, 0];
     const side = unit(cross(axis, Math.abs(axis[1]) < 0.9 ? [0, 1, 0] : [1, 0, 0]));
     const up = cross(axis, side);
-    this.mesh(CAPSULE, ([x, y, z, end]) => {
-      const normal = [0, 1, 2].map((k) => side[k] * x + up[k] * y + axis[k] * z);
-      const [centre, radius] = end ? [b, rb] : [a, ra];
-      return [add(centre, scale(normal, radius)), normal];
-    }, colour);
+    const mesh = CAPSULE.corners;
+    let at = this.take(CAPSULE);
+    if (at < 0) return;
+    const to = this.corners;
+    for (let from = 0; from < mesh.length; from += 4, at += STRIDE) {
+      const x = mesh[from], y = mesh[from + 1], z = mesh[from + 2];
+      const [centre, radius] = mesh[from + 3] ? [b, rb] : [a, ra];
+      for (let k = 0; k < 3; k++) {
+        const normal = side[k] * x + up[k] * y + axis[k] * z;
+        to[at + k] = centre[k] + radius * normal;
+        to[at + 3 + k] = normal;
+        to[at + 6 + k] = colour[k];
+      }
+    }
+  }
+
+  ball(centre, radius, colour) {
+    this.capsule(centre, radius, centre, radius, colour);
+  }
+
+  // From `tail` to `tip`, as thick as `radius` at its head.
+  arrow(tail, tip, radius, colour) {
+    const along = subtract(tip, tail);
+    const length = Math.hypot(...along);
+    if (length < 1e-3) return;
+    const neck = add(tail, scale(along, Math.max(1 - (3 * radius) / length, 0)));
+    this.capsule(tail, 0.4 * radius, neck, 0.4 * radius, colour);
+    this.capsule(neck, radius, tip, 0.1 * radius, colour);
   }
 
   box(centre, rotation, half, colour) {
-    this.mesh(BOX, (corner) => {
-      const place = corner.map((value, k) => value * half[k]);
-      const normal = unit(corner.map((value, k) => value ** 3 / half[k]));
-      return [add(centre, turn(rotation, place)), turn(rotation, normal)];
-    }, colour);
+    const axes = [[1, 0, 0], [0, 1, 0], [0, 0, 1]].map((axis) => turn(rotation, axis));
+    const mesh = BOX.corners;
+    let at = this.take(BOX);
+    if (at < 0) return;
+    const to = this.corners;
+    for (let from = 0; from < mesh.length; from += 4, at += STRIDE) {
+      const x = mesh[from], y = mesh[from + 1], z = mesh[from + 2];
+      const nx = x ** 3 / half[0], ny = y ** 3 / half[1], nz = z ** 3 / half[2];
+      const shrink = 1 / (Math.sqrt(nx * nx + ny * ny + nz * nz) || 1);
+      for (let k = 0; k < 3; k++) {
+        to[at + k] = centre[k] + axes[0][k] * x * half[0] + axes[1][k] * y * half[1]
+          + axes[2][k] * z * half[2];
+        to[at + 3 + k] = (axes[0][k] * nx + axes[1][k] * ny + axes[2][k] * nz) * shrink;
+        to[at + 6 + k] = colour[k];
+      }
+    }
   }
 
-  mesh({ corners, triangles }, place, colour) {
-    if (this.cornerCount + corners.length > CORNERS_MAX) return;
+  // Makes room for a mesh, and adds its triangles; answers where its corners go, or -1.
+  take({ corners, triangles }) {
     const first = this.cornerCount;
-    let at = first * STRIDE;
-    for (const corner of corners) {
-      const [position, normal] = place(corner);
-      this.corners.set(position, at);
-      this.corners.set(normal, at + 3);
-      this.corners.set(colour, at + 6);
-      at += STRIDE;
+    const count = corners.length / 4;
+    if (first + count > CORNERS_MAX) return -1;
+    for (let n = 0; n < triangles.length; n++) {
+      this.triangles[this.triangleCount + n] = first + triangles[n];
     }
-    for (const corner of triangles) this.triangles[this.triangleCount++] = first + corner;
-    this.cornerCount += corners.length;
+    this.triangleCount += triangles.length;
+    this.cornerCount += count;
+    return first * STRIDE;
   }
 }
 

@@ -20,7 +20,7 @@ SIZES = {"desktop": {"width": 1280, "height": 800}, "phone": {"width": 390, "hei
 def page(browser, demo):
     """The page, with everything noted that it says and asks for."""
     opened = browser.new_page(viewport=SIZES["desktop"], color_scheme="dark")
-    opened.set_default_timeout(20_000)
+    opened.set_default_timeout(60_000)
     complaints, addresses = [], []
     opened.on("console", lambda said: complaints.append(said.text) if said.type == "error" else None)
     opened.on("pageerror", lambda error: complaints.append(str(error)))
@@ -52,15 +52,15 @@ def sequence(page) -> int:
 
 def until(page, expression: str) -> None:
     """Waits until it is true. (The page's own rules keep Playwright's waiting out of it.)"""
-    for _ in range(400):
+    for _ in range(1200):
         if page.evaluate(expression):
             return
         page.wait_for_timeout(50)
-    raise AssertionError(f"not within 20 s: {expression}")
+    raise AssertionError(f"not within a minute: {expression}")
 
 
 def wait_for(page, selector: str, text: str) -> None:
-    expect(page.locator(selector)).to_contain_text(text, timeout=20_000)
+    expect(page.locator(selector)).to_contain_text(text, timeout=60_000)
 
 
 def test_the_wearer_moves_and_devices_are_listed(page):
@@ -83,21 +83,13 @@ def test_the_wearer_moves_and_devices_are_listed(page):
 
 
 def test_the_tracker_is_reset_and_told_the_height(page):
-    by = page.locator("#by")
     wait_for(page, "#by", "hmd_nemo")
-    # A tracker that starts anew lets ik stand in until it has seen enough.
-    page.evaluate(
-        """() => {
-            const seen = (window.seen = new Set());
-            const by = document.getElementById("by");
-            new MutationObserver(() => seen.add(by.textContent)).observe(by, { childList: true });
-        }"""
-    )
+    starts = int(page.evaluate("document.body.dataset.starts"))
     with page.expect_response("**/control") as answer:
         page.click("#reset")
     assert answer.value.status == 204
     wait_for(page, "#answer", "starts anew")
-    until(page, "seen.has('by ik') && seen.has('by hmd_nemo')")
+    until(page, f"Number(document.body.dataset.starts) === {starts + 1}")
 
     page.fill("#height", "181")
     page.press("#height", "Enter")
@@ -111,7 +103,6 @@ def test_the_tracker_is_reset_and_told_the_height(page):
     page.wait_for_selector("#trackers button[data-tracker='ik'][aria-pressed='true']")
     page.click("#trackers button[data-tracker='hmd_nemo']")
     wait_for(page, "#by", "hmd_nemo")
-    assert by.is_visible()
 
 
 def test_the_replay_stands_still_and_goes_to_another_time(page):
@@ -132,7 +123,7 @@ def test_the_replay_stands_still_and_goes_to_another_time(page):
             goal,
         )
         until(page, f"Math.abs({position} - {goal}) < 0.2")
-    assert re.search(r"0:04 / 0:(29|30)", page.locator("#clock").inner_text())
+    expect(page.locator("#clock")).to_have_text(re.compile("0:04 / 0:(29|30)"))
     page.click("#pause")
     until(page, f"{position} > 4.5")
     assert sequence(page) > still

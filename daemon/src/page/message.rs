@@ -141,6 +141,7 @@ pub(super) fn status(page: &Page) -> Value {
         "height_m": page.services.wearer.borrow().height,
         "devices": devices,
         "ticks": ticks,
+        "starts": *page.services.control.resets().borrow(),
         "recording": page.services.recorder.recording().map(|recording| json!({
             "poses": recording.poses,
             "error": recording.error,

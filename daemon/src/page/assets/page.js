@@ -155,7 +155,9 @@ function set(element, text, state) {
   if (state && element.dataset.state !== state) element.dataset.state = state;
 }
 
-function takeStatus({ height_m, devices, ticks, recording, replay }) {
+function takeStatus({ height_m, devices, ticks, starts, recording, replay }) {
+  // How often the tracker was told to start anew: for whoever tests the page.
+  document.body.dataset.starts = starts;
   if (height !== height_m) {
     height = height_m;
     if (document.activeElement !== find("height")) {
@@ -190,14 +192,18 @@ function listDevices(devices) {
     return;
   }
   list.querySelector(".none")?.remove();
+  const order = ({ role }) => hello.roles.indexOf(role) || hello.roles.length;
+  devices.sort((a, b) => order(a) - order(b));
   for (const device of devices) {
     const { id, serial, model, role, connected, charge, charging, how } = device;
     const shape = JSON.stringify([serial, model, role, connected, charge, charging, how]);
     let known = listed.get(id);
     if (known?.shape !== shape) {
       const item = deviceItem(device);
-      if (known) known.item.replaceWith(item);
-      else list.append(item);
+      known?.item.remove();
+      const after = devices.slice(0, devices.indexOf(device)).at(-1);
+      if (after) listed.get(after.id).item.after(item);
+      else list.prepend(item);
       known = { shape, item };
       listed.set(id, known);
     }

@@ -258,7 +258,8 @@ pub struct CalibrateArgs {
     #[arg(default_value = "t-pose", value_parser = parse_stance)]
     pub stance: posed_tracker::Stance,
     /// Seconds to take the stance in.
-    #[arg(long, value_name = "SECONDS", default_value_t = 5, value_parser = clap::value_parser!(u32).range(..=60))]
+    #[arg(long, value_name = "SECONDS", default_value_t = 5)]
+    #[arg(value_parser = clap::value_parser!(u32).range(..=60))]
     pub seconds: u32,
     /// Whom to ask.
     #[command(flatten)]

@@ -2,8 +2,9 @@
 //!
 //! [`open`] takes any [`std::io::Read`] and tells the format by content, never by name: classic
 //! pcap and pcapng with link types 189 and 220 (usbmon) or 249 (USBPcap), hid-recorder's text, and
-//! traces of the Joy-Con relay `joy`, each also gzip'd. A [`CaptureReader`] streams: its memory does not grow with the file. What is
-//! wrong with a file comes as a typed [`Warning`] among its packets, and costs nothing else.
+//! traces of the Joy-Con relay `joy`, each also gzip'd. A [`CaptureReader`] streams: its memory does
+//! not grow with the file. What is wrong with a file comes as a typed [`Warning`] among its packets,
+//! and costs nothing else.
 
 mod hid_recorder;
 mod hid_recorder_writer;

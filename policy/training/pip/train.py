@@ -1,0 +1,233 @@
+"""Trains PIP's networks on the shared motion capture.
+
+    python -m pip.train --mocap DIR --out RUN --model small
+
+The learning rate warms up, stays, and decays only over the last `--decay` seconds before
+`--seconds` or steps before `--steps`: a run whose end is not known yet is stopped at any time and
+finished later. Started again with the same `--out` it goes on where it stopped.
+"""
+
+import argparse
+import json
+import signal
+import time
+from dataclasses import asdict
+from pathlib import Path
+
+import torch
+
+from hmd_nemo.optimizer import MuonAdamW
+from hmd_nemo.train import append
+from posed_mocap import store as stores
+
+from . import checkpoint, motion
+from .evaluate import table
+from .lanes import Lanes
+from .losses import losses, total
+from .model import select
+
+VALIDATION_SETS = ["bandai", "cmu_amc", "cmu_amc2", "cmu_bvh", "cmu_cc"]
+AVERAGE = 0.998
+SPLIT = ("lstm.weight",)
+"""Layers whose outputs are an LSTM's four gates side by side: each is its own matrix."""
+PLAIN = ("enter", "leave", "begin_", "bias")
+"""Inputs, outputs, vectors: AdamW."""
+
+
+def arguments():
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--mocap", required=True, help="folder of the shared .npz sets")
+    parser.add_argument("--sets", default=",".join(stores.TRAIN_SETS))
+    parser.add_argument("--cache", default=stores.default_cache())
+    parser.add_argument("--out", required=True, help="folder of checkpoints and logs")
+    parser.add_argument("--start", help="checkpoint to begin from where --out has none")
+    parser.add_argument("--model", default="small")
+    parser.add_argument("--no-initial", action="store_true",
+                        help="ablation: the memory of P_L and V_A begins at zero")
+    parser.add_argument("--only", help="train these networks alone, comma-separated")
+    parser.add_argument("--batch", type=int, default=64)
+    parser.add_argument("--frames", type=int, default=40)
+    parser.add_argument("--stride", type=int, default=1, help="60 Hz frames per step of the motion")
+    parser.add_argument("--rate", type=float, default=2e-3)
+    parser.add_argument("--warmup", type=int, default=100)
+    parser.add_argument("--steps", type=int, default=1_000_000)
+    parser.add_argument("--decay", type=int, default=0, help="steps of the decay before --steps")
+    parser.add_argument("--until", help="local time HH:MM by which the rate is to reach zero")
+    parser.add_argument("--until-decay", type=float, default=1500, help="seconds of that decay")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--validate-every", type=int, default=200)
+    parser.add_argument("--save-seconds", type=float, default=180)
+    return parser.parse_args()
+
+
+def seconds_until(clock):
+    """Seconds from now to the next HH:MM, negative for half a day after it has passed."""
+    hour, minute = map(int, clock.split(":"))
+    now = time.localtime()
+    left = (hour - now.tm_hour) * 3600 + (minute - now.tm_min) * 60 - now.tm_sec
+    return (left + 43200) % 86400 - 43200
+
+
+def learning_rate(args, step):
+    """Warm-up, plateau, and a linear decay to zero at the end."""
+    rate = args.rate * min(1.0, (step - args.begun + 1) / args.warmup)
+    if args.decay:
+        rate *= max(0.0, min(1.0, (args.steps - step) / args.decay))
+    if args.until:
+        rate *= max(0.0, min(1.0, seconds_until(args.until) / args.until_decay))
+    return rate
+
+
+class Run:
+    """Everything a training step needs, and what a checkpoint keeps."""
+
+    def __init__(self, args):
+        self.args = args
+        args.begun = 0
+        torch.manual_seed(args.seed)
+        torch.set_float32_matmul_precision("medium")
+        motions = motion.cached(args.mocap, args.cache, args.sets.split(","), ["train"])
+        self.lanes = Lanes(motions, args.batch, args.frames, args.seed, args.stride)
+        self.model = checkpoint.build_model(args.model)
+        if args.no_initial:
+            config = {**asdict(self.model.config), "initial": False}
+            self.model = checkpoint.build_model(config)
+        self.average = {k: v.detach().clone() for k, v in self.model.state_dict().items()}
+        named = [(n, p) for n, p in self.model.named_parameters() if self._trains(n)]
+        for name, parameter in self.model.named_parameters():
+            parameter.requires_grad_(self._trains(name))
+        self.parameters = [p for _, p in named]
+        self.optimizer = MuonAdamW(named, args.rate, split=SPLIT, split_blocks=4, plain=PLAIN)
+        self.state = self.model.initial_state(args.batch)
+        self.step, self.seconds, self.best = 0, 0.0, float("inf")
+
+    def _trains(self, name):
+        part = name.split(".")[0].removeprefix("begin_")
+        return not self.args.only or part in self.args.only.split(",")
+
+    def state_dict(self):
+        return {
+            "config": asdict(self.model.config), "model": self.model.state_dict(),
+            "average": self.average, "optimizer": self.optimizer.state_dict(), "step": self.step,
+            "seconds": self.seconds, "best": self.best, "lanes": self.lanes.state_dict(),
+            "state": {n: list(p) for n, p in self.state.items()},
+            "arguments": {k: str(v) for k, v in vars(self.args).items()},
+        }
+
+    def load_state_dict(self, state):
+        mine = self.model.state_dict()
+        keep = {k: v.float() for k, v in state["average"].items() if k in mine}
+        self.average = {**self.average, **keep}
+        self.model.load_state_dict(
+            {**mine, **{k: v.float() for k, v in state.get("model", keep).items() if k in mine}})
+        self.step, self.seconds, self.best = state["step"], state["seconds"], state["best"]
+        if "optimizer" in state and not self.args.only and not self.args.no_initial:
+            self.optimizer.load_state_dict(state["optimizer"])
+        same = "lanes" in state and len(state["lanes"]["lane"]["clip"]) == self.lanes.batch
+        if same and state["arguments"]["stride"] == str(self.args.stride):
+            self.lanes.load_state_dict(state["lanes"])
+            self.state = {n: tuple(p) for n, p in state["state"].items()}
+
+    def train_step(self):
+        """One chunk of every lane; returns the losses as floats."""
+        batch = self.lanes.next_batch()
+        fresh = self.model.begin(
+            batch.first_leaves + 0.015 * torch.randn_like(batch.first_leaves),
+            batch.first_velocities + 0.05 * torch.randn_like(batch.first_velocities))
+        out, self.state = self.model(batch.features, select(batch.reset, fresh, self.state))
+        named = losses(out, batch)
+        loss = total(named)
+        self.optimizer.zero_grad(set_to_none=True)
+        loss.backward()
+        norm = torch.nn.utils.clip_grad_norm_(self.parameters, 1.0)
+        if not torch.isfinite(norm):
+            raise FloatingPointError(f"gradient is not finite at step {self.step}")
+        for group in self.optimizer.param_groups:
+            group["lr"] = learning_rate(self.args, self.step)
+        self.optimizer.step()
+        keep = min(AVERAGE, (1 + self.step) / (10 + self.step))
+        torch._foreach_lerp_(
+            list(self.average.values()), list(self.model.state_dict().values()), 1 - keep
+        )
+        self.step += 1
+        return {"loss": loss.item(), "grad": norm.item(), **{k: v.item() for k, v in named.items()}}
+
+    def validate(self, motions):
+        """Validation table of the averaged weights."""
+        kept = {k: v.clone() for k, v in self.model.state_dict().items()}
+        self.model.load_state_dict(self.average)
+        result = dict(table(self.model, motions, per_set=24, stride=self.args.stride))
+        self.model.load_state_dict(kept)
+        return result
+
+
+def score(result):
+    """What picks the best checkpoint: SIP error and the way's error, mean over sets."""
+    return sum(r["sip_deg"] + 0.2 * r["way_cm_s"] for r in result.values()) / len(result)
+
+
+class Log:
+    """Losses averaged over 50 steps to `train.csv`, validation to `validation.jsonl`."""
+
+    def __init__(self, out):
+        self.out, self.sums, self.count = out, {}, 0
+
+    def losses(self, run, named):
+        for name, value in named.items():
+            self.sums[name] = self.sums.get(name, 0.0) + value
+        self.count += 1
+        if run.step % 50 == 0:
+            means = {k: v / self.count for k, v in self.sums.items()}
+            append(self.out / "train.csv", {"step": run.step, "seconds": run.seconds, **means})
+            print(run.step, f"{run.seconds:.0f}s",
+                  " ".join(f"{k}={v:.4f}" for k, v in means.items()), flush=True)
+            self.sums, self.count = {}, 0
+
+    def validation(self, run, value, result):
+        row = {"step": run.step, "seconds": run.seconds, "score": value,
+               "stride": run.args.stride, "table": result}
+        with (self.out / "validation.jsonl").open("a") as file:
+            file.write(json.dumps(row) + "\n")
+        errors = {k: [round(r[n], 2) for n in ("sip_deg", "joint_cm", "way_cm_s", "contact")]
+                  for k, r in result.items()}
+        print(run.step, f"{run.seconds:.0f}s", f"{value:.3f}", errors, flush=True)
+
+
+def train(args):
+    torch.set_num_threads(1)
+    out = Path(args.out)
+    out.mkdir(parents=True, exist_ok=True)
+    run, log = Run(args), Log(out)
+    last = out / "last.pt"
+    source = last if last.exists() else args.start
+    if source:
+        run.load_state_dict(checkpoint.load(source))
+        print(f"going on from step {run.step}", flush=True)
+    if not last.exists():
+        args.begun, run.best = run.step, float("inf")
+    validation = motion.cached(args.mocap, args.cache, VALIDATION_SETS, ["val"])
+    stopped = []
+    signal.signal(signal.SIGTERM, lambda *_: stopped.append(True))
+    begun, before, saved = time.monotonic(), run.seconds, time.monotonic()
+    while run.step < args.steps and not stopped:
+        named = run.train_step()
+        run.seconds = before + time.monotonic() - begun
+        log.losses(run, named)
+        ended = args.until and seconds_until(args.until) < 0
+        if run.step % args.validate_every == 0 or run.step == args.steps or ended:
+            result = run.validate(validation)
+            value = score(result)
+            log.validation(run, value, result)
+            if value < run.best:
+                run.best = value
+                checkpoint.save(out / "best.pt", run.state_dict())
+        if time.monotonic() - saved > args.save_seconds:
+            checkpoint.save(last, run.state_dict())
+            saved = time.monotonic()
+        if ended:
+            break
+    checkpoint.save(last, run.state_dict())
+
+
+if __name__ == "__main__":
+    train(arguments())

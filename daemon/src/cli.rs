@@ -348,6 +348,10 @@ pub struct EvalArgs {
     /// Another model (ONNX) than the built-in one, with the same inputs and outputs.
     #[arg(long, value_name = "FILE")]
     pub model: Option<PathBuf>,
+    /// Leave a part of PIP out, for comparison: dual-pd (joints' positions are not controlled) or
+    /// physics.
+    #[arg(long, value_name = "PART", value_parser = parse_without)]
+    pub without: Option<posed_tracker::pip::Physics>,
     /// Leave a network's answer as it is: hung from the head, not moved to meet the hands.
     #[arg(long)]
     pub unrefined: bool,
@@ -408,6 +412,15 @@ pub enum Speed {
     Times(f64),
     /// Without waiting.
     Max,
+}
+
+fn parse_without(text: &str) -> Result<posed_tracker::pip::Physics, String> {
+    use posed_tracker::pip::Physics;
+    match text {
+        "dual-pd" => Ok(Physics::RotationsOnly),
+        "physics" => Ok(Physics::Off),
+        _ => Err("give dual-pd or physics".into()),
+    }
 }
 
 fn parse_speed(text: &str) -> Result<Speed, String> {

@@ -3,12 +3,15 @@
 use std::{env, path::PathBuf};
 
 use posed_tracker::{
-    HmdNemo, Tracker, TrackerKind, hmd_nemo,
+    HmdNemo, Pip, Tracker, TrackerKind, hmd_nemo,
     inference::{InferenceError, Runtime},
+    pip,
 };
 
 /// HMD-NeMo; its card lies beside it.
 static HMD_NEMO: &[u8] = include_bytes!("../../policy/models/hmd_nemo_small.onnx");
+/// PIP's networks.
+static PIP: &[u8] = include_bytes!("../../policy/models/pip_small.onnx");
 /// The library's file name, of the version that posed is built against.
 const LIBRARY: &str = "libonnxruntime.so.1.31.1";
 
@@ -33,12 +36,28 @@ impl Models {
     /// # Errors
     /// The model does not fit this program.
     pub fn tracker(&self, kind: TrackerKind) -> Result<Option<Box<dyn Tracker>>, InferenceError> {
-        if kind != TrackerKind::HmdNemo {
-            return Ok(None);
-        }
-        let options = hmd_nemo::Options::default();
-        let tracker = self.hmd_nemo(None, options)?;
-        Ok(Some(Box::new(tracker)))
+        Ok(match kind {
+            TrackerKind::HmdNemo => {
+                let options = hmd_nemo::Options::default();
+                Some(Box::new(self.hmd_nemo(None, options)?))
+            }
+            TrackerKind::Pip => Some(Box::new(self.pip(None, pip::Options::default())?)),
+            TrackerKind::Ik | TrackerKind::QuestSim => None,
+        })
+    }
+
+    /// PIP with these options, and with another model than the built-in one where one is given by
+    /// name and content.
+    ///
+    /// # Errors
+    /// The model does not fit this program.
+    pub fn pip(
+        &self,
+        model: Option<(&str, &[u8])>,
+        options: pip::Options,
+    ) -> Result<Pip, InferenceError> {
+        let (name, bytes) = model.unwrap_or(("pip_small.onnx", PIP));
+        Pip::load(&self.runtime, name, bytes, options)
     }
 
     /// HMD-NeMo with these options, and with another model than the built-in one where one is

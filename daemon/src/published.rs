@@ -3,7 +3,7 @@
 
 use posed_body::{BodyPose, Joints};
 use posed_signal::{Battery, DeviceId, HostTime, Lookup, Pose, Role, Serial};
-use posed_tracker::{Quality, TrackerKind};
+use posed_tracker::{Forces, Quality, TrackerKind};
 use serde::{Serialize, Serializer, ser::SerializeStruct as _};
 
 /// One tick's result. It is `Copy`, so that it passes from the tracker thread without allocation.
@@ -26,6 +26,8 @@ pub struct PublishedPose {
     pub pose: BodyPose,
     /// The same pose's joints in the world.
     pub joints: Joints,
+    /// Torques and ground forces, of a tracker with physics.
+    pub forces: Option<Forces>,
     /// What the tracker was given: each body part's pose at `target_at` and how it was made;
     /// indexed by [`Role`] as a number.
     pub parts: [Lookup<Pose>; Role::COUNT],
@@ -52,13 +54,47 @@ impl PublishedPose {
                 .parts
                 .iter()
                 .all(|part| part.value().is_none_or(|pose| pose.is_sound()))
+            && self.forces.as_ref().is_none_or(Forces::is_sound)
+    }
+}
+
+/// Forces in the line of a pose: N and N m.
+#[derive(Serialize)]
+struct ForcesLine {
+    torques: Vec<[f32; 3]>,
+    ground: [f32; 3],
+    feet: [FootLine; 2],
+}
+
+#[derive(Serialize)]
+struct FootLine {
+    force: [f32; 3],
+    centre: [f32; 3],
+    contact: f32,
+}
+
+impl ForcesLine {
+    fn of(forces: &Forces) -> Self {
+        Self {
+            torques: forces.torques.map(|torque| torque.to_array()).to_vec(),
+            ground: forces.ground.to_array(),
+            feet: forces.feet.map(|foot| FootLine {
+                force: foot.force.to_array(),
+                centre: foot.centre.to_array(),
+                contact: foot.contact,
+            }),
+        }
     }
 }
 
 /// The line of `--poses` and of `posed follow --json`: times in ns, metres, quaternions x, y, z, w.
+/// `forces` is there when the tracker has physics: joint torques in the joints' own frames, the
+/// force of the ground on the body, and for the left and the right foot its force, its centre of
+/// pressure and the probability that the foot stands.
 impl Serialize for PublishedPose {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        let mut line = serializer.serialize_struct("PublishedPose", 8)?;
+        let mut line =
+            serializer.serialize_struct("PublishedPose", 8 + usize::from(self.forces.is_some()))?;
         line.serialize_field("sample_ns", &self.sample_at.0)?;
         line.serialize_field("target_ns", &self.target_at.0)?;
         line.serialize_field("publish_ns", &self.publish_at.0)?;
@@ -73,6 +109,9 @@ impl Serialize for PublishedPose {
             "rotations",
             &self.pose.rotations.map(|turn| turn.to_array()),
         )?;
+        if let Some(forces) = &self.forces {
+            line.serialize_field("forces", &ForcesLine::of(forces))?;
+        }
         line.end()
     }
 }
@@ -109,7 +148,7 @@ pub struct DeviceState {
 #[cfg(test)]
 pub(crate) mod tests {
     use glam::{Quat, Vec3};
-    use posed_body::Skeleton;
+    use posed_body::{Skeleton, optimiser::FootForce};
 
     use super::*;
 
@@ -143,7 +182,21 @@ pub(crate) mod tests {
             kind: TrackerKind::Ik,
             pose,
             joints: Skeleton::of_height(1.75).forward(&pose),
+            forces: (sequence % 2 == 1).then(|| forces_at(turn)),
             parts,
+        }
+    }
+
+    fn forces_at(number: f32) -> Forces {
+        let foot = |side: f32| FootForce {
+            force: Vec3::new(side, 350.0 + number, 2.0),
+            centre: Vec3::new(side, 0.0, number),
+            contact: 0.5 + number,
+        };
+        Forces {
+            torques: std::array::from_fn(|joint| Vec3::new(joint as f32, number, -1.0)),
+            feet: [foot(-0.1), foot(0.1)],
+            ground: Vec3::new(0.0, 700.0, number),
         }
     }
 

@@ -1,10 +1,10 @@
 //! Between the domain and `posed.v1`. No other file knows both.
 
 use glam::{Quat, Vec3};
-use posed_body::{BodyPose, JOINTS, Joints, skeleton};
+use posed_body::{BodyPose, JOINTS, Joints, optimiser::FootForce, skeleton};
 use posed_proto::v1;
 use posed_signal::{Battery, HostTime, Lookup, Pose, PoseHow, Role};
-use posed_tracker::{Quality, Stance, TrackerKind, Wearer};
+use posed_tracker::{Forces, Quality, Stance, TrackerKind, Wearer};
 
 use crate::{
     output::{
@@ -209,6 +209,49 @@ fn parts(parts: &[Lookup<Pose>; Role::COUNT]) -> Vec<v1::Part> {
     parts.iter().zip(Role::ALL).filter_map(part).collect()
 }
 
+fn foot_force(foot: &FootForce) -> v1::FootForce {
+    v1::FootForce {
+        force: Some(vector(foot.force)),
+        centre: Some(vector(foot.centre)),
+        contact: foot.contact,
+    }
+}
+
+fn to_foot_force(wire: Option<&v1::FootForce>) -> Result<FootForce> {
+    let wire = wire.ok_or(missing("forces"))?;
+    let required = |v: &Option<v1::Vector3>| v.as_ref().map(to_vec3).ok_or(missing("forces"));
+    Ok(FootForce {
+        force: required(&wire.force)?,
+        centre: required(&wire.centre)?,
+        contact: wire.contact,
+    })
+}
+
+fn forces(forces: &Forces) -> v1::Forces {
+    let [left, right] = &forces.feet;
+    v1::Forces {
+        joint_torques: forces.torques.map(vector).to_vec(),
+        ground: Some(vector(forces.ground)),
+        left_foot: Some(foot_force(left)),
+        right_foot: Some(foot_force(right)),
+    }
+}
+
+fn to_forces(wire: &v1::Forces) -> Result<Forces> {
+    let torques: Vec<Vec3> = wire.joint_torques.iter().map(to_vec3).collect();
+    Ok(Forces {
+        torques: torques.try_into().map_err(|_| ConvertError {
+            field: "forces",
+            problem: "do not have 22 torques",
+        })?,
+        feet: [
+            to_foot_force(wire.left_foot.as_ref())?,
+            to_foot_force(wire.right_foot.as_ref())?,
+        ],
+        ground: wire.ground.as_ref().map(to_vec3).ok_or(missing("forces"))?,
+    })
+}
+
 /// A published pose as a message.
 pub(super) fn pose(pose: &PublishedPose) -> v1::Pose {
     v1::Pose {
@@ -222,6 +265,7 @@ pub(super) fn pose(pose: &PublishedPose) -> v1::Pose {
         joint_rotations: pose.pose.rotations.map(quaternion).to_vec(),
         joint_positions: pose.joints.positions.map(vector).to_vec(),
         parts: parts(&pose.parts),
+        forces: pose.forces.as_ref().map(forces),
     }
 }
 
@@ -267,6 +311,7 @@ pub(crate) fn to_pose(wire: &v1::Pose) -> Result<PublishedPose> {
             positions,
             rotations: in_world,
         },
+        forces: wire.forces.as_ref().map(to_forces).transpose()?,
         parts,
     };
     let problem = "holds numbers that are not finite or rotations that are not unit";

@@ -8,7 +8,7 @@ use posed_signal::{
     device::DEVICES_MAX, latest::Reader, ring::Consumer,
 };
 use posed_tracker::{
-    Input, Stance, Tracked, Tracker, TrackerKind, Wearer, ik::Ik, sensors::Mounts,
+    Forces, Input, Stance, Tracked, Tracker, TrackerKind, Wearer, ik::Ik, sensors::Mounts,
     tracker::NO_INERTIAL,
 };
 
@@ -113,6 +113,7 @@ impl TrackerLoop {
                 pose,
                 quality: posed_tracker::Quality::Held,
                 kind: TrackerKind::Ik,
+                forces: None,
             },
             counters: Counters::default(),
         }
@@ -294,6 +295,7 @@ impl TrackerLoop {
             quality: tracked.quality,
             kind: tracked.kind,
             pose: tracked.pose,
+            forces: tracked.forces.filter(Forces::is_sound),
             joints: self.wearer.skeleton.forward(&tracked.pose),
             parts: *parts,
         }

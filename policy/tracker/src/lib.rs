@@ -1,5 +1,6 @@
 //! From samples and a time to a body pose: the trackers and what they share.
 
+mod carry;
 pub mod eval;
 mod fade;
 mod geometry;
@@ -8,12 +9,15 @@ pub mod ik;
 pub mod inference;
 pub mod metrics;
 pub mod physics;
+pub mod pip;
 mod presence;
 pub mod sensors;
+mod steps;
 pub mod tracker;
 
 pub use hmd_nemo::HmdNemo;
 pub use ik::Ik;
 pub use physics::Physical;
+pub use pip::Pip;
 pub use sensors::{Mount, Mounts};
-pub use tracker::{Input, Quality, Stance, Tracked, Tracker, TrackerKind, Wearer};
+pub use tracker::{Forces, Input, Quality, Stance, Tracked, Tracker, TrackerKind, Wearer};

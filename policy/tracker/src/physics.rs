@@ -6,12 +6,13 @@ use posed_body::{
     scene::Ground,
 };
 
-use crate::tracker::{Input, Tracked, Tracker, TrackerKind, Wearer};
+use crate::tracker::{Forces, Input, Tracked, Tracker, TrackerKind, Wearer};
 
 /// Body mass index of the wearer whose mass is not known, kg/m²: 72 kg at 1.75 m.
 const MASS_INDEX: f64 = 23.5;
 
-fn mass_of(wearer: &Wearer) -> f64 {
+/// Mass of a wearer of average build, kilograms.
+pub(crate) fn average_mass(wearer: &Wearer) -> f64 {
     MASS_INDEX * f64::from(wearer.height).powi(2)
 }
 
@@ -29,7 +30,7 @@ impl Physical {
     #[must_use]
     pub fn new(inner: Box<dyn Tracker>, wearer: &Wearer, rate_hz: f64) -> Self {
         let settings = Settings::default();
-        let (skeleton, mass) = (&wearer.skeleton, mass_of(wearer));
+        let (skeleton, mass) = (&wearer.skeleton, average_mass(wearer));
         Self {
             inner,
             optimiser: Optimiser::new(skeleton, mass, 1.0 / rate_hz, settings),
@@ -62,7 +63,7 @@ impl Tracker for Physical {
         if self.wearer != *input.wearer {
             self.wearer = *input.wearer;
             self.optimiser
-                .wear(&self.wearer.skeleton, mass_of(&self.wearer));
+                .wear(&self.wearer.skeleton, average_mass(&self.wearer));
         }
         let reference = Reference {
             pose: &tracked.pose,
@@ -73,6 +74,7 @@ impl Tracker for Physical {
         self.last = Some(solved);
         Tracked {
             pose: solved.pose,
+            forces: Some(Forces::of(&solved)),
             ..tracked
         }
     }

@@ -1,6 +1,10 @@
 //! The interface of every tracker: what the devices say at a time, in; a body pose, out.
 
-use posed_body::{BodyPose, Skeleton};
+use glam::Vec3;
+use posed_body::{
+    BodyPose, JOINTS, Skeleton,
+    optimiser::{FootForce, Solved},
+};
 use posed_signal::{HostTime, Lookup, Orientation, Pose, Role};
 
 /// Which tracker made a pose.
@@ -44,14 +48,14 @@ impl TrackerKind {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Default)]
 #[repr(u8)]
 pub enum Quality {
-    /// No headset: the last pose, held.
+    /// Nothing is heard: the last pose, held.
     #[default]
     Held,
-    /// The headset's pose is old or carried on by its IMU; the body follows it.
+    /// The headset's pose is old or carried on by its IMU, or most of PIP's six sensors are silent.
     Degraded,
-    /// The headset is tracked, a hand is not.
+    /// The headset is tracked, a hand is not; or one or two of PIP's six sensors are silent.
     Partial,
-    /// Headset and both hands are tracked.
+    /// Headset and both hands are tracked, or all of PIP's six sensors are heard.
     Full,
 }
 
@@ -153,6 +157,41 @@ impl Input<'_> {
 /// [`Input::inertial`] of a wearer without inertial trackers.
 pub const NO_INERTIAL: [Lookup<Orientation>; Role::COUNT] = [Lookup::Empty; Role::COUNT];
 
+/// What moves the body and what carries it, of a tracker that solves for it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Forces {
+    /// Joint torques, N m, each on the child link in its joint's own frame; that of the pelvis is
+    /// the residual moment, which a real body would not need.
+    pub torques: [Vec3; JOINTS],
+    /// What the ground does to the left and to the right foot.
+    pub feet: [FootForce; 2],
+    /// Force of the ground on the whole body, N, in the world.
+    pub ground: Vec3,
+}
+
+impl Forces {
+    /// Those of a solved tick.
+    #[must_use]
+    pub fn of(solved: &Solved) -> Self {
+        Self {
+            torques: solved.torques,
+            feet: solved.feet,
+            ground: solved.ground_force,
+        }
+    }
+
+    /// Whether every number is finite.
+    #[must_use]
+    pub fn is_sound(&self) -> bool {
+        let foot = |foot: &FootForce| {
+            foot.force.is_finite() && foot.centre.is_finite() && foot.contact.is_finite()
+        };
+        self.torques.iter().all(|torque| torque.is_finite())
+            && self.feet.iter().all(foot)
+            && self.ground.is_finite()
+    }
+}
+
 /// A tracker's answer.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Tracked {
@@ -162,6 +201,8 @@ pub struct Tracked {
     pub quality: Quality,
     /// The tracker that made it: a fallback's own name if one stood in.
     pub kind: TrackerKind,
+    /// Torques and ground forces, of a tracker with physics.
+    pub forces: Option<Forces>,
 }
 
 /// A tracker: a state machine over ticks. It cannot fail; it degrades and says so. `track`
@@ -176,6 +217,10 @@ pub trait Tracker: Send {
     /// The wearer stands in `stance` at the next tick. Trackers whose sensors say themselves how
     /// they are worn have nothing to learn from it.
     fn calibrate(&mut self, _stance: Stance) {}
+
+    /// Tells the pose that the wearer is in at the next tick, from calibration: a tracker that
+    /// remembers (PIP) begins its memory with it. Others need not listen.
+    fn begin(&mut self, _pose: &BodyPose) {}
 
     /// The body pose at `input.target`. Target times never decrease between resets.
     fn track(&mut self, input: &Input<'_>) -> Tracked;

@@ -104,6 +104,10 @@ class Pip(nn.Module):
         if self.config.initial:
             state["leaves"] = self.begin_leaves(leaves)
             state["velocities"] = self.begin_velocities(velocities / VELOCITY_SCALE)
+        else:
+            # An exported step keeps the inputs that it does not need.
+            nothing = 0 * (leaves.sum() + velocities.sum())
+            state["leaves"] = tuple(part + nothing for part in state["leaves"])
         return state
 
     def forward(self, x, state):

@@ -123,8 +123,11 @@ class Run:
         self.step, self.seconds, self.best = state["step"], state["seconds"], state["best"]
         if "optimizer" in state and not self.args.only and not self.args.no_initial:
             self.optimizer.load_state_dict(state["optimizer"])
+        same_stride = state["arguments"]["stride"] == str(self.args.stride)
+        if not same_stride:
+            self.best = float("inf")
         same = "lanes" in state and len(state["lanes"]["lane"]["clip"]) == self.lanes.batch
-        if same and state["arguments"]["stride"] == str(self.args.stride):
+        if same and same_stride:
             self.lanes.load_state_dict(state["lanes"])
             self.state = {n: tuple(p) for n, p in state["state"].items()}
 

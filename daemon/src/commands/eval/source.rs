@@ -2,7 +2,7 @@
 
 use posed_body::motion::Clip;
 use posed_tracker::{
-    Ik, Physical, Tracker, TrackerKind, eval::Options, hmd_nemo, inference::InferenceError,
+    Ik, Physical, Tracker, TrackerKind, eval::Options, hmd_nemo, inference::InferenceError, pip,
 };
 
 use crate::{cli::EvalArgs, commands::CommandError, models::Models};
@@ -14,6 +14,7 @@ pub(super) struct Source {
     /// A model in place of the built-in one: its name and content.
     model: Option<(String, Vec<u8>)>,
     options: hmd_nemo::Options,
+    pip: pip::Options,
 }
 
 impl Source {
@@ -42,6 +43,9 @@ impl Source {
                 mirror: !args.unmirrored,
                 ..hmd_nemo::Options::default()
             },
+            pip: pip::Options {
+                physics: args.without.unwrap_or_default(),
+            },
         })
     }
 
@@ -68,10 +72,14 @@ impl Source {
             return Ok(Box::new(Ik::default()));
         };
         let problem = |error: InferenceError| CommandError::Input(error.to_string());
+        let model = self.model.as_ref();
+        let model = model.map(|(name, bytes)| (name.as_str(), bytes.as_slice()));
         if self.kind == TrackerKind::HmdNemo {
-            let model = self.model.as_ref();
-            let model = model.map(|(name, bytes)| (name.as_str(), bytes.as_slice()));
             let tracker = models.hmd_nemo(model, self.options).map_err(problem)?;
+            return Ok(Box::new(tracker));
+        }
+        if self.kind == TrackerKind::Pip {
+            let tracker = models.pip(model, self.pip).map_err(problem)?;
             return Ok(Box::new(tracker));
         }
         let found = models.tracker(self.kind).map_err(problem)?;

@@ -145,6 +145,8 @@ pub fn evaluate(clip: &Clip, tracker: &mut dyn Tracker, options: &Options) -> Cl
     let trajectory = Trajectory::new(clip);
     let wearer = options.bones.wearer(clip);
     let mut stage = Stage::new(&trajectory, &wearer, clip, options);
+    // PIP is evaluated with its first pose known, as its authors do: a wearer has calibrated.
+    tracker.begin(&trajectory.pose(0.0));
     let frames = (trajectory.duration() * options.rate_hz + 1e-6) as usize + 1;
     let mut predicted = Vec::with_capacity(frames);
     let mut sure = 0usize;

@@ -70,6 +70,7 @@ impl Tracker for Oracle<'_> {
             pose,
             quality: Quality::Full,
             kind: TrackerKind::Pip,
+            forces: None,
         }
     }
 }

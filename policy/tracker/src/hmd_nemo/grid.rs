@@ -1,25 +1,20 @@
 //! From the tracker's ticks to the network's steps of 1/60 s, and back.
 //!
-//! The network was trained at 60 Hz. A tick that comes about 1/60 s after the last step makes one
-//! step at its own time, so that at 60 Hz nothing is delayed. At other rates steps are made on a
-//! 60 Hz grid with inputs interpolated between ticks, and the answers become one smooth motion
-//! that comes a step later.
+//! A step made at a tick's own time answers that tick. At other rates steps are made on a 60 Hz grid
+//! with inputs interpolated between ticks, and the answers become one smooth motion that comes a
+//! step later.
 
 use posed_signal::HostTime;
 
 use super::{
-    carry::Carry,
     features::{Builder, Seen},
     mirror::Pair,
     network::Answer,
 };
-
-/// One step's time, nanoseconds.
-const STEP_NS: i64 = 16_666_667;
-/// How far off the grid a step may be made at the tick's own time.
-const SLACK_NS: i64 = STEP_NS / 8;
-/// After a gap longer than this the network starts anew.
-const GAP_NS: i64 = 15 * STEP_NS;
+use crate::{
+    carry::Carry,
+    steps::{GAP_NS, due, steps_between},
+};
 
 /// What is carried from tick to tick.
 #[derive(Debug, Clone, Copy, Default)]
@@ -53,7 +48,7 @@ impl Grid {
         }
         let last_tick = self.tick.replace((now, *seen)).unwrap_or((now, *seen));
         let last_step = self.step.map(|(at, ..)| at);
-        while let Some(at) = self.due(now) {
+        while let Some(at) = due(self.step.map(|(at, ..)| at), now) {
             let there = if at == now {
                 *seen
             } else {
@@ -103,26 +98,6 @@ impl Grid {
     pub(super) fn reset(&mut self) {
         *self = Self::default();
     }
-
-    /// When the next step has to be made, if that is not after `now`.
-    fn due(&self, now: HostTime) -> Option<HostTime> {
-        let Some((last, ..)) = self.step else {
-            return Some(now);
-        };
-        let late = now.since_ns(last.plus_ns(STEP_NS));
-        if late < -SLACK_NS {
-            return None;
-        }
-        Some(if late <= SLACK_NS {
-            now
-        } else {
-            last.plus_ns(STEP_NS)
-        })
-    }
-}
-
-fn steps_between(earlier: HostTime, later: HostTime) -> f32 {
-    later.since_ns(earlier) as f32 / STEP_NS as f32
 }
 
 fn between(last: &(HostTime, Seen), now: HostTime, seen: &Seen, at: HostTime) -> Seen {

@@ -5,7 +5,6 @@
 //! ([`grid`], [`network`]), and its answer is moved to meet headset and hands ([`refine`]). `ik`
 //! runs beside it: it stands in while there is no head or no answer, and both fade into each other.
 
-mod carry;
 mod features;
 mod grid;
 mod mirror;
@@ -210,6 +209,7 @@ impl Tracker for HmdNemo {
             pose,
             quality: quality(state, hands),
             kind,
+            forces: None,
         }
     }
 

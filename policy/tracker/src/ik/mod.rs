@@ -120,6 +120,7 @@ impl Tracker for Ik {
             pose,
             quality: quality(state, hands),
             kind: TrackerKind::Ik,
+            forces: None,
         }
     }
 }
@@ -133,6 +134,7 @@ impl Ik {
             pose,
             quality: Quality::Held,
             kind: TrackerKind::Ik,
+            forces: None,
         }
     }
 

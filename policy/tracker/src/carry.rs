@@ -5,75 +5,91 @@
 //! step; led over to where the last two steps *lead* it would not, but what the network is unsure of
 //! would then show twice (measured: half the jitter for 0.5 mm more error).
 
+use std::ops::{Add, Mul, Sub};
+
 use glam::Quat;
 use posed_body::JOINTS;
 
 /// Rotations, or their change within one step; one for each joint.
-type Turns = [Quat; JOINTS];
+pub(crate) type Turns = [Quat; JOINTS];
 
-/// A cubic curve of rotations over one step's time, carried on straight from there.
+/// A cubic curve over one step's time, carried on straight from there.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Carry {
-    from: Turns,
-    from_rate: Turns,
-    to: Turns,
-    to_rate: Turns,
+pub(crate) struct Curve<T> {
+    from: T,
+    from_rate: T,
+    to: T,
+    to_rate: T,
 }
 
-impl Carry {
+impl<T> Curve<T>
+where
+    T: Copy + Add<Output = T> + Sub<Output = T> + Mul<f32, Output = T>,
+{
     /// Leads over to the motion through `before` and, one step later, `last`: at the curve's end
-    /// it will be `ahead` steps beyond `last`. `shown` is the curve so far and the time on it.
-    pub(super) fn new(
+    /// it will be `ahead` steps beyond `last`. `shown` is the value so far and its change a step.
+    pub(crate) fn new(shown: Option<(T, T)>, before: T, last: T, ahead: f32) -> Self {
+        let rate = last - before;
+        let (from, from_rate) = shown.unwrap_or((last + rate * (ahead - 1.0), rate));
+        Self {
+            from,
+            from_rate,
+            to: last + rate * ahead,
+            to_rate: rate,
+        }
+    }
+
+    /// The value at `at` steps after the curve's start.
+    pub(crate) fn at(&self, at: f32) -> T {
+        let s = at.clamp(0.0, 1.0);
+        let (s2, s3) = (s * s, s * s * s);
+        let beyond = (at - 1.0).max(0.0);
+        self.from * (2.0 * s3 - 3.0 * s2 + 1.0)
+            + self.from_rate * (s3 - 2.0 * s2 + s)
+            + self.to * (3.0 * s2 - 2.0 * s3)
+            + self.to_rate * (s3 - s2 + beyond)
+    }
+
+    /// Change of the value a step.
+    pub(crate) fn rate(&self, at: f32) -> T {
+        let s = at.clamp(0.0, 1.0);
+        let s2 = s * s;
+        (self.from - self.to) * (6.0 * s2 - 6.0 * s)
+            + self.from_rate * (3.0 * s2 - 4.0 * s + 1.0)
+            + self.to_rate * (3.0 * s2 - 2.0 * s)
+    }
+}
+
+/// A curve for each joint's rotation.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Carry([Curve<Quat>; JOINTS]);
+
+impl Carry {
+    /// As [`Curve::new`]; `shown` is the curve so far and the time on it.
+    pub(crate) fn new(
         shown: Option<(&Self, f32)>,
         before: &Turns,
         last: &Turns,
         ahead: f32,
     ) -> Self {
-        let mut curve = Self {
-            from: *last,
-            from_rate: *last,
-            to: *last,
-            to_rate: *last,
-        };
-        for joint in 0..JOINTS {
+        Self(std::array::from_fn(|joint| {
             let last = last[joint];
-            let rate = last - toward(before[joint], last);
-            curve.to[joint] = last + rate * ahead;
-            curve.to_rate[joint] = rate;
-            let (from, from_rate) = match shown {
-                Some((curve, at)) => (curve.value(joint, at), curve.rate(joint, at)),
-                None => (last + rate * (ahead - 1.0), rate),
-            };
-            let near = toward(from, last);
-            let flipped = near != from;
-            curve.from[joint] = near;
-            curve.from_rate[joint] = if flipped { -from_rate } else { from_rate };
-        }
-        curve
+            let shown = shown.map(|(carry, at)| {
+                let curve = &carry.0[joint];
+                let (value, rate) = (curve.at(at), curve.rate(at));
+                if value.dot(last) < 0.0 {
+                    (-value, -rate)
+                } else {
+                    (value, rate)
+                }
+            });
+            Curve::new(shown, toward(before[joint], last), last, ahead)
+        }))
     }
 
     /// The rotations at `at` steps after the curve's start.
-    pub(super) fn at(&self, at: f32) -> Turns {
-        std::array::from_fn(|joint| self.value(joint, at).normalize())
-    }
-
-    fn value(&self, joint: usize, at: f32) -> Quat {
-        let s = at.clamp(0.0, 1.0);
-        let (s2, s3) = (s * s, s * s * s);
-        let beyond = (at - 1.0).max(0.0);
-        self.from[joint] * (2.0 * s3 - 3.0 * s2 + 1.0)
-            + self.from_rate[joint] * (s3 - 2.0 * s2 + s)
-            + self.to[joint] * (3.0 * s2 - 2.0 * s3)
-            + self.to_rate[joint] * (s3 - s2 + beyond)
-    }
-
-    /// Change of the value a step.
-    fn rate(&self, joint: usize, at: f32) -> Quat {
-        let s = at.clamp(0.0, 1.0);
-        let s2 = s * s;
-        (self.from[joint] - self.to[joint]) * (6.0 * s2 - 6.0 * s)
-            + self.from_rate[joint] * (3.0 * s2 - 4.0 * s + 1.0)
-            + self.to_rate[joint] * (3.0 * s2 - 2.0 * s)
+    pub(crate) fn at(&self, at: f32) -> Turns {
+        std::array::from_fn(|joint| self.0[joint].at(at).normalize())
     }
 }
 

@@ -1,0 +1,64 @@
+"""The model card: what the weights are, from what data, how good, and under what licence."""
+
+from hmd_nemo.card import DATA
+
+COLUMNS = [
+    ("sip_deg", "SIP deg"), ("angle_deg", "angle deg"), ("joint_cm", "joints cm"),
+    ("leaf_cm", "leaves (P_L) cm"), ("way_cm_s", "way (V_A) cm/s"), ("contact", "contact right"),
+]
+
+
+def metric_rows(metrics):
+    """A Markdown table from `pip.evaluate`'s JSON, or a line that says there is none."""
+    if not metrics:
+        return "Not evaluated.\n"
+    head = "| set | clips | " + " | ".join(t for _, t in COLUMNS) + " |"
+    rows = [head, "|" + "---|" * (len(COLUMNS) + 2)]
+    for name, row in metrics.items():
+        cells = " | ".join(f"{row[k]:.2f}" for k, _ in COLUMNS)
+        rows.append(f"| {name} | {row['clips']} | {cells} |")
+    return "\n".join(rows) + "\n"
+
+
+def model_card(name, facts):
+    """Markdown."""
+    training, config = facts["training"], facts["config"]
+    flags = " ".join(
+        f"--{k.replace('_', '-')} {v}" for k, v in training["arguments"].items()
+        if k in ("model", "batch", "frames", "stride", "rate", "seed")
+    )
+    return f"""# {name}
+
+PIP's five recurrent networks: a moving body from six inertial sensors (forearms, shanks, head,
+pelvis), one frame at a time at 60 Hz. {facts['parameters'] / 1e6:.2f} M parameters: LSTMs of
+{config['hidden']} units (contact: {config['contact']}); PIP's own are 256 and 64.
+`policy/training/pip/FEATURES.md` has the exact layout of inputs, outputs and state.
+
+- File: `{name}.onnx`, sha256 `{facts['sha256']}`
+- State: {facts['inputs']['state'][1]} numbers, in and out with every frame
+- Golden vectors: `{name}.golden.json` (procedural motion, no recorded data)
+- Licence of the weights: {facts['licence']}.
+- Training: {training['steps']} steps, {training['hours']:.2f} h on a share of one CPU core,
+  last part: `python -m pip.train --mocap DIR --out RUN {flags}`, then `python -m pip.export`
+
+## Training data
+
+Only the `train` split of the sets below; `val` chose the checkpoint. hdm05 and mass were never
+trained on or tuned on, nor were test clips.
+
+{DATA}
+## Errors of the kinematics alone
+
+Means over clips of per-clip means, with the clips' own bones, ideal sensors in their usual
+places, PyTorch, no physics. SIP: mean angle of hips and shoulders; angle: of all 15 predicted
+joints; both, and the joints' distance, with the pelvis as the sensor tells it. Way: how far a
+second's integrated pelvis velocity leads astray. Sets differ from those of published tables; no
+number here is comparable with theirs. `posed eval --sensors imu6 --tracker pip` measures the
+tracker as it runs, with physics.
+
+{metric_rows(facts['metrics'])}
+## Limits
+
+Trained on few people and mostly on walking, gestures and idling. Lying, crawling and acrobatics
+are outside. Sitting is rare in the data.
+"""

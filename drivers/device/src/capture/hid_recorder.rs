@@ -7,24 +7,20 @@
 //! port and endpoint into the `P:` line, as the kernel does with a path of its own, and control
 //! transfers into comments, which other readers skip: see [`super::HidRecorderWriter`].
 
-use std::{
-    collections::BTreeMap,
-    io::{BufRead, BufReader, Read},
-};
+use std::collections::BTreeMap;
 
 use posed_signal::{HostTime, time::SECOND_NS};
 
 use super::{
-    Warning, joy_trace,
+    joy_trace,
+    lines::{BadLine, Lines},
     pairing::Pairing,
     reader::Found,
     records::Step,
-    source::{Fault, Source},
+    source::Source,
 };
 use crate::usb::{Packet, Port, Setup, Transfer, UsbId};
 
-/// Longer lines are skipped; the kernel's longest report, 16 KiB, takes three characters a byte.
-pub const LINE_BYTES_MAX: usize = 64 << 10;
 /// Devices in one recording.
 const DEVICES_MAX: usize = 256;
 /// Where the path of a `P:` line of posed's own begins.
@@ -40,17 +36,9 @@ struct Node {
 
 /// Reads the text line by line.
 pub(super) struct HidRecorder<'a> {
-    lines: BufReader<Source<'a>>,
-    fault: Fault,
-    line: Vec<u8>,
-    number: u64,
-    /// The device that lines belong to.
-    index: u16,
-    nodes: BTreeMap<u16, Node>,
+    lines: Lines<'a>,
+    nodes: Nodes,
 }
-
-/// A line that is not what its prefix says.
-struct BadLine;
 
 impl<'a> HidRecorder<'a> {
     /// Whether a text begins like this.
@@ -68,71 +56,29 @@ impl<'a> HidRecorder<'a> {
     }
 
     pub(super) fn new(source: Source<'a>) -> Self {
-        let fault = source.fault();
-        let (line, nodes) = (Vec::new(), BTreeMap::new());
         Self {
-            lines: BufReader::new(source),
-            fault,
-            line,
-            number: 0,
-            index: 0,
-            nodes,
+            lines: Lines::new(source),
+            nodes: Nodes::default(),
         }
     }
 
     /// Reads on to the next line.
     pub(super) fn step(&mut self, pairing: &mut Pairing) -> Step<Found> {
-        self.line.clear();
-        let limit = LINE_BYTES_MAX as u64 + 1;
-        let read = self
-            .lines
-            .by_ref()
-            .take(limit)
-            .read_until(b'\n', &mut self.line);
-        self.number += 1;
-        if !matches!(read, Ok(count) if count > 0) {
-            return Step::End(self.fault.warning());
-        }
-        if self.line.len() > LINE_BYTES_MAX {
-            pairing.statistics.malformed += 1;
-            self.skip_line();
-            return Step::Warning(Warning::LineTooLong { line: self.number });
-        }
-        let line = std::mem::take(&mut self.line);
-        let found = std::str::from_utf8(&line)
-            .map_err(|_| BadLine)
-            .and_then(|l| self.parse(l));
-        self.line = line;
-        match found {
-            Ok(found) => {
-                pairing.statistics.records += u64::from(found.packet.is_some());
-                Step::Record(found)
-            }
-            Err(BadLine) => {
-                pairing.statistics.malformed += 1;
-                Step::Warning(Warning::Line { line: self.number })
-            }
-        }
+        let Self { lines, nodes } = self;
+        lines.step(pairing, |line| nodes.parse(line))
     }
+}
 
-    fn skip_line(&mut self) {
-        loop {
-            let (used, done) = match self.lines.fill_buf() {
-                Ok([]) | Err(_) => return,
-                Ok(bytes) => match bytes.iter().position(|&byte| byte == b'\n') {
-                    Some(end) => (end + 1, true),
-                    None => (bytes.len(), false),
-                },
-            };
-            self.lines.consume(used);
-            if done {
-                return;
-            }
-        }
-    }
+/// The devices so far.
+#[derive(Default)]
+struct Nodes {
+    /// The device that lines belong to.
+    index: u16,
+    nodes: BTreeMap<u16, Node>,
+}
 
+impl Nodes {
     fn parse(&mut self, line: &str) -> Result<Found, BadLine> {
-        let line = line.trim();
         if let Some(rest) = line.strip_prefix(CONTROL_PREFIX) {
             return control(rest).ok_or(BadLine);
         }

@@ -13,6 +13,7 @@ use super::{
     pairing::Pairing,
     records::{Link, Record, Records, Step},
     source::Source,
+    survive_recording::SurviveRecording,
     usbmon, usbpcap,
 };
 use crate::usb::{Packet, Port, UsbId};
@@ -34,6 +35,7 @@ pub enum Item {
 enum Format<'a> {
     Records(Records<'a>),
     HidRecorder(Box<HidRecorder<'a>>),
+    Survive(Box<SurviveRecording<'a>>),
     Ended,
 }
 
@@ -61,6 +63,9 @@ pub fn open<'a>(input: impl Read + Send + 'a) -> Result<CaptureReader<'a>, Captu
         | [0x4d, 0x3c, 0xb2, 0xa1, ..] => Format::Records(Records::new(source)?),
         ref text if HidRecorder::recognises(text) => {
             Format::HidRecorder(Box::new(HidRecorder::new(source)))
+        }
+        ref text if SurviveRecording::recognises(text) => {
+            Format::Survive(Box::new(SurviveRecording::new(source)))
         }
         ref other => {
             let first = other
@@ -97,6 +102,7 @@ impl CaptureReader<'_> {
         let step = match &mut self.format {
             Format::Records(records) => records.step(|record| decode(&record, pairing)),
             Format::HidRecorder(text) => text.step(pairing),
+            Format::Survive(text) => text.step(pairing),
             Format::Ended => Step::End(None),
         };
         match step {

@@ -3,13 +3,63 @@
 
 use glam::{DQuat, DVec3};
 
-use super::reproject::PlaneCalibration;
+use super::{gen1, reproject, reproject::PlaneCalibration};
 
-/// A base station of generation 2.
+/// Generations of base stations.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Generation {
+    /// Two rotors and a flash for all sensors, 2016.
+    One,
+    /// One rotor with two tilted planes, which carry data, 2018.
+    Two,
+}
+
+/// What tells a base station's light from the others'.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum Source {
+    /// Generation 1: whether it flashes first or second, 0 or 1.
+    Slot(u8),
+    /// Generation 2: the channel that it is set to, 0 to 15.
+    Channel(u8),
+}
+
+impl Source {
+    /// Sources that there can be.
+    pub const COUNT: usize = 18;
+
+    /// Its generation.
+    #[must_use]
+    pub fn generation(self) -> Generation {
+        match self {
+            Self::Slot(_) => Generation::One,
+            Self::Channel(_) => Generation::Two,
+        }
+    }
+
+    /// A number of its own below [`Source::COUNT`].
+    #[must_use]
+    pub fn index(self) -> usize {
+        match self {
+            Self::Slot(slot) => 16 + usize::from(slot & 1),
+            Self::Channel(channel) => usize::from(channel & 15),
+        }
+    }
+}
+
+impl std::fmt::Display for Source {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Slot(slot) => write!(f, "slot {slot}"),
+            Self::Channel(channel) => write!(f, "channel {channel}"),
+        }
+    }
+}
+
+/// A base station.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct BaseStation {
-    /// Channel it is set to, 0 to 15.
-    pub channel: u8,
+    /// What its light is told by.
+    pub source: Source,
     /// Its serial number, as it broadcasts it.
     pub id: u32,
     /// Where it stands in posed's world, metres.
@@ -25,6 +75,29 @@ impl BaseStation {
     #[must_use]
     pub fn to_local(&self, point_in_world: DVec3) -> DVec3 {
         self.rotation.conjugate() * (point_in_world - self.position)
+    }
+
+    /// The angle at which one of its planes (0 or 1) passes a point of its own frame, rad, and
+    /// that angle's gradient over the point, rad/m.
+    #[must_use]
+    pub fn reading(&self, plane: usize, point_in_base: DVec3) -> (f64, DVec3) {
+        let calibration = &self.calibration[plane & 1];
+        match self.source.generation() {
+            Generation::One => gen1::reproject(calibration, plane, point_in_base),
+            Generation::Two => {
+                reproject::reproject_with_gradient(calibration, plane, point_in_base)
+            }
+        }
+    }
+
+    /// The direction, in its own frame, in which readings of both its planes meet, as if the planes
+    /// were flat; unit.
+    #[must_use]
+    pub fn bearing(&self, angles: [f64; 2]) -> DVec3 {
+        match self.source.generation() {
+            Generation::One => gen1::bearing(&self.calibration, angles),
+            Generation::Two => reproject::bearing(&self.calibration, angles),
+        }
     }
 }
 
@@ -49,10 +122,10 @@ pub enum BaseStationError {
     },
     /// Two entries have one channel.
     #[error(
-        "base-station file: two base stations are set to channel {0}; set one of them to another \
+        "base-station file: two base stations are set to {0}; set one of them to another \
          channel, or take its entry out if it is gone"
     )]
-    SharedChannel(u8),
+    SharedChannel(Source),
     /// No entry describes a base station whose position is known.
     #[error(
         "base-station file: no entry has its position and calibration set; \
@@ -75,26 +148,66 @@ pub fn from_z_up() -> DQuat {
 /// The text cannot be read as such a file, an entry is incomplete, or no entry is usable.
 pub fn parse_libsurvive(text: &str) -> Result<Vec<BaseStation>, BaseStationError> {
     let entries = Reader::new(text).members(0)?;
+    let generation = generation(&entries);
     let mut stations = Vec::new();
     for (name, value) in &entries {
         let Value::Object(fields) = value else {
             continue;
         };
         if name.starts_with("lighthouse") {
-            stations.extend(station(&Entry { name, fields })?);
+            stations.extend(station(&Entry { name, fields }, generation)?);
         }
     }
     if stations.is_empty() {
         return Err(BaseStationError::Empty);
     }
-    stations.sort_by_key(|station: &BaseStation| station.channel);
+    stations.sort_by_key(|station: &BaseStation| station.source);
+    if generation == Generation::One {
+        // A flashes before b, and b before c. A lone b may be either; its broadcast will tell.
+        for (rank, station) in stations.iter_mut().enumerate() {
+            let lone_c = station.source == Source::Slot(2);
+            station.source = Source::Slot(u8::from(rank > 0 || lone_c));
+        }
+    }
     if let Some(pair) = stations
         .windows(2)
-        .find(|pair| pair[0].channel == pair[1].channel)
+        .find(|pair| pair[0].source == pair[1].source)
     {
-        return Err(BaseStationError::SharedChannel(pair[0].channel));
+        return Err(BaseStationError::SharedChannel(pair[0].source));
     }
     Ok(stations)
+}
+
+/// Which generation a file is about. Old files do not say it: modes of generation 1 are 0 to 2, and
+/// its light planes have no ogee.
+fn generation(entries: &[(String, Value)]) -> Generation {
+    let scalar = |fields: &[(String, Value)], wanted: &str| {
+        let number = fields.iter().find_map(|(name, value)| match value {
+            Value::Scalar(text) if name == wanted => text.parse::<u8>().ok(),
+            _ => None,
+        });
+        number.unwrap_or(0)
+    };
+    let second = |value: &Value| match value {
+        Value::Object(fields) => {
+            scalar(fields, "mode") > 2
+                || fields.iter().any(|(name, value)| match value {
+                    Value::Array(items) if name == "fcalogeemag" => {
+                        items.iter().any(|item| item.parse() != Ok(0.0f64))
+                    }
+                    _ => false,
+                })
+        }
+        _ => false,
+    };
+    let said = ["lighthouse-gen", "configed-lighthouse-gen"].map(|name| scalar(entries, name));
+    if said.contains(&2) {
+        Generation::Two
+    } else if said.contains(&1) || !entries.iter().any(|(_, value)| second(value)) {
+        Generation::One
+    } else {
+        Generation::Two
+    }
 }
 
 /// A parsed value of the loose JSON.
@@ -150,7 +263,10 @@ impl Entry<'_> {
     }
 }
 
-fn station(entry: &Entry<'_>) -> Result<Option<BaseStation>, BaseStationError> {
+fn station(
+    entry: &Entry<'_>,
+    generation: Generation,
+) -> Result<Option<BaseStation>, BaseStationError> {
     if !entry.flag("PositionSet") || !entry.flag("OOTXSet") {
         return Ok(None);
     }
@@ -158,11 +274,11 @@ fn station(entry: &Entry<'_>) -> Result<Option<BaseStation>, BaseStationError> {
         .scalar("id")
         .and_then(|text| text.parse::<i64>().ok())
         .unwrap_or(0) as u32;
-    let channel = entry
+    let mode = entry
         .scalar("mode")
         .and_then(|text| text.parse::<u8>().ok())
-        .filter(|&channel| channel < 16)
-        .ok_or_else(|| entry.error("`mode` is not a channel from 0 to 15"))?;
+        .filter(|&mode| mode < 16)
+        .ok_or_else(|| entry.error("`mode` is not a number from 0 to 15"))?;
     let pose: [f64; 7] = entry
         .numbers("pose")?
         .ok_or_else(|| entry.error("`pose` is missing"))?;
@@ -188,7 +304,10 @@ fn station(entry: &Entry<'_>) -> Result<Option<BaseStation>, BaseStationError> {
     fill("fcalogeemag", |plane| &mut plane.ogeemag)?;
     let turn = from_z_up();
     Ok(Some(BaseStation {
-        channel,
+        source: match generation {
+            Generation::One => Source::Slot(mode),
+            Generation::Two => Source::Channel(mode),
+        },
         id,
         position: turn * DVec3::new(x, y, z),
         rotation: (turn * rotation).normalize(),
@@ -338,7 +457,8 @@ mod tests {
         let stations = parse_libsurvive(LOOSE).unwrap();
         assert_eq!(stations.len(), 1);
         let station = stations[0];
-        assert_eq!((station.channel, station.id), (6, 2_765_867_172));
+        assert_eq!(station.source, Source::Channel(6));
+        assert_eq!(station.id, 2_765_867_172);
         assert!((station.position - DVec3::new(1.0, 3.0, -2.0)).length() < 1e-12);
         // What was up in libsurvive's world is up in posed's.
         assert!((station.rotation * DVec3::Z - DVec3::Y).length() < 1e-12);
@@ -374,7 +494,7 @@ mod tests {
         let twice = format!("\"lighthouse0\"{first}\"lighthouse1\"{first}");
         assert_eq!(
             parse_libsurvive(&twice),
-            Err(BaseStationError::SharedChannel(6))
+            Err(BaseStationError::SharedChannel(Source::Channel(6)))
         );
         assert_eq!(parse_libsurvive(""), Err(BaseStationError::Empty));
         let nan = LOOSE.replace("\"2.0\"", "\"nan\"");

@@ -4,13 +4,16 @@ use posed_signal::{ClockMap, HostTime, Imu, Pose, PoseHow, Sample};
 
 use super::{
     Settings, Variant,
+    base_station::{BaseStation, Source},
     input::{self, InputState, WiredInput},
+    light::{Light, Seen},
     model::{DeviceModel, ImuRange},
     motion::ImuSample,
+    ootx::Broadcast,
+    output::Output,
     reader::{Event, Reader},
-    rotor::Rotor,
     solve::Sighting,
-    startup::{self, Startup},
+    startup::Startup,
     track::Track,
     wire::{RawImu, TICKS_PER_SECOND},
 };
@@ -36,7 +39,9 @@ pub(super) struct Device {
     settings: Settings,
     range: ImuRange,
     clock: ClockMap,
-    rotors: [Rotor; 16],
+    light: Light,
+    /// What base stations said about themselves, by [`Source::index`].
+    broadcasts: [Option<Broadcast>; Source::COUNT],
     unit: Option<Unit>,
     /// Device and host time of the newest inertial sample, s.
     newest: Option<(f64, HostTime)>,
@@ -59,7 +64,8 @@ impl Device {
             settings: settings.clone(),
             range: variant.range(),
             clock: ClockMap::new(TICKS_PER_SECOND),
-            rotors: std::array::from_fn(|channel| Rotor::new(channel as u8)),
+            light: Light::default(),
+            broadcasts: [None; Source::COUNT],
             unit: None,
             newest: None,
             posed: f64::NEG_INFINITY,
@@ -75,16 +81,7 @@ impl Device {
         self.startup.event(event, at);
         match event {
             Event::Imu { ticks, raw } => self.imu(*ticks, raw, at, out),
-            Event::Sync { channel, ticks, .. } => {
-                if let Some(rotor) = self.rotors.get_mut(usize::from(*channel)) {
-                    rotor.sync(*ticks);
-                }
-            }
-            Event::Sweep {
-                channel,
-                sensor,
-                ticks,
-            } => self.sweep(*channel, *sensor, *ticks),
+            Event::Sync { .. } | Event::Sweep { .. } | Event::Pulse { .. } => self.light(event),
             Event::Configuration(text) => return self.configure(text, out),
             Event::Ranges(gyro, accel) => {
                 self.range = ImuRange::from_codes(*gyro, *accel).unwrap_or(self.range);
@@ -107,9 +104,8 @@ impl Device {
                 }
             }
             Event::Off => self.off(at, out),
-            Event::Pulse { .. }
-            | Event::RadioPulses
-            | Event::RawBeams
+            Event::RawBeams
+            | Event::Mainboard(_)
             | Event::RadioPacket
             | Event::ConfigurationProgress => {}
         }
@@ -185,25 +181,29 @@ impl Device {
         }
     }
 
-    fn sweep(&mut self, channel: u8, sensor: u8, ticks: f64) {
-        let stations = &self.settings.base_stations;
-        let station = stations
-            .iter()
-            .position(|station| station.channel == channel)
-            .and_then(|index| u8::try_from(index).ok());
-        let rotor = self.rotors.get(usize::from(channel));
-        let (Some(unit), Some(station), Some(rotor)) = (&mut self.unit, station, rotor) else {
-            return;
-        };
-        if let Some(reading) = rotor.reading(ticks) {
-            unit.track.sighting(Sighting {
-                time: ticks / TICKS_PER_SECOND,
-                station,
-                plane: reading.plane,
-                sensor,
-                angle: reading.angle,
-            });
-        }
+    fn light(&mut self, event: &Event) {
+        let Self {
+            light,
+            broadcasts,
+            settings,
+            unit,
+            ..
+        } = self;
+        light.event(event, &mut |seen| match seen {
+            Seen::Sweep(sweep) => {
+                let station = station_of(&settings.base_stations, broadcasts, sweep.source);
+                if let (Some(unit), Some(station)) = (unit.as_mut(), station) {
+                    unit.track.sighting(Sighting {
+                        time: sweep.ticks / TICKS_PER_SECOND,
+                        station,
+                        plane: sweep.plane,
+                        sensor: sweep.sensor,
+                        angle: sweep.angle,
+                    });
+                }
+            }
+            Seen::Broadcast(source, broadcast) => broadcasts[source.index()] = Some(broadcast),
+        });
     }
 
     /// The device was switched off: its last pose is the last.
@@ -223,6 +223,20 @@ impl Device {
         }
         unit.track.reset();
     }
+}
+
+/// Which of the base stations light of a source comes from: the one that its broadcast names, or
+/// while nothing was heard of it the one that is set to be told by it.
+fn station_of(
+    stations: &[BaseStation],
+    broadcasts: &[Option<Broadcast>; Source::COUNT],
+    source: Source,
+) -> Option<u8> {
+    let heard = broadcasts[source.index()];
+    let named = heard.and_then(|heard| stations.iter().position(|station| station.id == heard.id));
+    named
+        .or_else(|| stations.iter().position(|station| station.source == source))
+        .and_then(|index| u8::try_from(index).ok())
 }
 
 impl Decoder for Device {
@@ -255,7 +269,7 @@ impl Decoder for Mainboard {
 
     fn tick(&mut self, _now: HostTime, commands: &mut Vec<Command>) {
         if !self.powered {
-            commands.push(startup::power_on());
+            commands.push(Output::Power(true).command());
             self.powered = true;
         }
     }

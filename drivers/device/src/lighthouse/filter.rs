@@ -14,7 +14,6 @@ use super::{
     model::{DeviceModel, GRAVITY},
     motion::ImuSample,
     planes::Planes,
-    reproject::reproject_with_gradient,
     solve::{Sighting, Solution},
 };
 
@@ -258,9 +257,7 @@ impl Filter {
             return Verdict::Rejected;
         }
         let plane = usize::from(seen.plane & 1);
-        let calibration = &station.calibration[plane];
-        let (expected, local) =
-            reproject_with_gradient(calibration, plane, station.to_local(point));
+        let (expected, local) = station.reading(plane, station.to_local(point));
         let by_point = station.rotation * local;
         let by_rotation = arm.cross(rotation.conjugate() * by_point);
         let by_velocity = tau * by_point;

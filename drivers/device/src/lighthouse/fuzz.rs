@@ -5,7 +5,7 @@ use posed_signal::{HostTime, Sample};
 
 use super::{
     Settings, Variant,
-    base_station::{BaseStation, parse_libsurvive},
+    base_station::{BaseStation, Source, parse_libsurvive},
     decoder::Device,
     inspect::{Inspector, Report},
     model::DeviceModel,
@@ -98,14 +98,19 @@ fn packet(kind: u8, bytes: &[u8], at: HostTime) -> Packet {
 }
 
 fn stations() -> Vec<BaseStation> {
-    let station = |channel: u8, x: f64| BaseStation {
-        channel,
+    let station = |source: Source, x: f64| BaseStation {
+        source,
         id: 1,
         position: DVec3::new(x, 2.0, 2.0),
         rotation: DQuat::IDENTITY,
         calibration: Default::default(),
     };
-    vec![station(0, 1.0), station(6, -1.0)]
+    vec![
+        station(Source::Channel(0), 1.0),
+        station(Source::Channel(6), -1.0),
+        station(Source::Slot(0), 1.0),
+        station(Source::Slot(1), -1.0),
+    ]
 }
 
 struct Sink;

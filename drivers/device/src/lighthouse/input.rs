@@ -80,6 +80,40 @@ pub(super) fn wired(data: &[u8]) -> Result<Option<WiredInput>, DecodeError> {
     })
 }
 
+/// What a Vive's mainboard says.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct MainboardInput {
+    /// Distance of the lenses, hundredths of a millimetre.
+    pub ipd: u16,
+    /// The proximity sensor's reading: libsurvive takes 80 and more for a face.
+    pub proximity: u16,
+    /// Whether the button on the headset is pressed.
+    pub button: bool,
+}
+
+impl MainboardInput {
+    /// Whether the headset is worn.
+    #[must_use]
+    pub fn is_worn(&self) -> bool {
+        self.proximity >= 80
+    }
+}
+
+/// Reads a mainboard's report 0x03.
+pub(super) fn mainboard(data: &[u8]) -> Result<MainboardInput, DecodeError> {
+    let mut fields = Fields::new(id::MAINBOARD, data);
+    let _unknown = fields.bytes::<2>()?;
+    let _lens_and_its_separation = fields.bytes::<3>()?;
+    let _unknown = fields.bytes::<2>()?;
+    let button = fields.u8()? != 0;
+    let _unknown_and_change_of_proximity = fields.bytes::<5>()?;
+    Ok(MainboardInput {
+        proximity: fields.u16()?,
+        ipd: fields.u16()?,
+        button,
+    })
+}
+
 /// A battery byte: bit 7 charging, the others per cent.
 pub(super) fn battery(byte: u8, at: HostTime) -> Battery {
     let charge = f32::from(byte & 0x7f).min(100.0) / 100.0;
@@ -274,6 +308,19 @@ mod tests {
         };
         assert_eq!(wired(&report(idle)).unwrap(), Some(expected));
         assert_eq!(wired(&report("0100073cf600")).unwrap(), None, "of no use");
+    }
+
+    /// A Vive's mainboard while a hand is before its proximity sensor (LighthouseRedox, System/05).
+    #[test]
+    fn a_mainboard_is_read() {
+        let found = mainboard(&report("03d02c3c270600000000000002004300441b00")).unwrap();
+        let expected = MainboardInput {
+            ipd: 6_980,
+            proximity: 67,
+            button: false,
+        };
+        assert_eq!((found, found.is_worn()), (expected, false));
+        assert!(mainboard(&[0; 16]).is_err());
     }
 
     #[test]

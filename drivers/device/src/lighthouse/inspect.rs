@@ -5,8 +5,11 @@ use std::collections::BTreeMap;
 use posed_signal::HostTime;
 
 use super::{
-    input::WiredInput,
+    base_station::Source,
+    input::{MainboardInput, WiredInput},
+    light::{Light, Seen},
     model::{DeviceModel, GRAVITY, ImuRange},
+    ootx::Broadcast,
     reader::{Event, Reader},
     rotor::Rotor,
     wire::TICKS_PER_SECOND,
@@ -22,6 +25,17 @@ pub struct ChannelReport {
     pub sweeps: u64,
     /// Speed of its rotor by the device's clock, revolutions a second.
     pub rotor_hz: Option<f64>,
+}
+
+/// What was seen of one base station of either generation.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct StationReport {
+    /// Sensors swept whose angle is known.
+    pub sweeps: u64,
+    /// Complete frames of its data.
+    pub broadcasts: u64,
+    /// What it said last.
+    pub broadcast: Option<Broadcast>,
 }
 
 /// What was counted.
@@ -53,6 +67,8 @@ pub struct Report {
     pub sweeps: u64,
     /// The same by channel.
     pub channels: BTreeMap<u8, ChannelReport>,
+    /// What was made of the light, by base station.
+    pub stations: BTreeMap<Source, StationReport>,
     /// Light pulses under base stations of generation 1.
     pub pulses: u64,
     /// Reports of beams that the device had not decoded yet.
@@ -67,6 +83,8 @@ pub struct Report {
     pub serial: Option<String>,
     /// Product, by the configuration.
     pub model: Option<&'static str>,
+    /// What a Vive's mainboard said last.
+    pub mainboard: Option<MainboardInput>,
     /// Battery, per cent, and whether it is charging.
     pub battery: Option<(u8, bool)>,
 }
@@ -81,6 +99,12 @@ impl Report {
             in_order => self.imu_samples.saturating_sub(in_order),
         }
     }
+
+    /// Light of any kind.
+    #[must_use]
+    pub fn light(&self) -> u64 {
+        self.sweeps + self.pulses
+    }
 }
 
 /// Counts the packets of one USB device.
@@ -94,6 +118,7 @@ pub struct Inspector {
     accel: Vec<u32>,
     clock: Clock,
     rotors: BTreeMap<u8, Rotor>,
+    light: Light,
 }
 
 impl Inspector {
@@ -108,6 +133,7 @@ impl Inspector {
             accel: Vec::new(),
             clock: Clock::default(),
             rotors: BTreeMap::new(),
+            light: Light::default(),
         }
     }
 
@@ -149,6 +175,14 @@ impl Inspector {
 
     fn event(&mut self, event: Event, at: HostTime) {
         let report = &mut self.report;
+        self.light.event(&event, &mut |seen| match seen {
+            Seen::Sweep(sweep) => report.stations.entry(sweep.source).or_default().sweeps += 1,
+            Seen::Broadcast(source, broadcast) => {
+                let entry = report.stations.entry(source).or_default();
+                entry.broadcasts += 1;
+                entry.broadcast = Some(broadcast);
+            }
+        });
         match event {
             Event::Imu { ticks, raw } => {
                 report.imu_samples += 1;
@@ -179,9 +213,10 @@ impl Inspector {
                 report.battery = Some((byte & 0x7f, byte & 0x80 != 0));
             }
             Event::Wired(_) => report.inputs += 1,
+            Event::Mainboard(input) => report.mainboard = Some(input),
             Event::Ranges(gyro, accel) => self.range = ImuRange::from_codes(gyro, accel),
             Event::Configuration(text) => self.configuration(text),
-            Event::RadioPulses | Event::ConfigurationProgress | Event::Off => {}
+            Event::ConfigurationProgress | Event::Off => {}
         }
     }
 

@@ -5,8 +5,9 @@ use posed_signal::TickUnwrap;
 
 use super::{
     blob::BlobReader,
-    input::{self, WiredInput},
+    input::{self, MainboardInput, WiredInput},
     radio::{PACKET_BYTES, Part, RadioInput, RadioPacket, Version},
+    radio_pulses,
     wire::{self, Fields, ImuRing, Light, RawImu, id},
 };
 use crate::{
@@ -51,12 +52,12 @@ pub enum Event {
         /// Device time of its beginning, ticks.
         ticks: u64,
     },
-    /// Light of generation 1 in a radio packet, not taken apart.
-    RadioPulses,
     /// The device sends undecoded beams of generation 2: it waits for the mode switch.
     RawBeams,
     /// Input of a wired device.
     Wired(WiredInput),
+    /// A Vive's mainboard.
+    Mainboard(MainboardInput),
     /// Input by radio.
     Radio(RadioInput),
     /// Battery by radio: bit 7 charging, the others per cent.
@@ -164,8 +165,12 @@ impl Reader {
                 events.push(Event::Off);
                 Ok(())
             }
-            // A mainboard tells about its lenses; some devices send an empty report at the start.
-            id::MAINBOARD | 0 => Ok(()),
+            id::MAINBOARD => {
+                events.push(Event::Mainboard(input::mainboard(data)?));
+                Ok(())
+            }
+            // Some devices send an empty report at the start.
+            0 => Ok(()),
             _ => Err(DecodeError::Malformed {
                 id,
                 what: "no report of this device has this id",
@@ -249,11 +254,26 @@ impl Reader {
             Part::Light(stream) => light = Some(stream),
         });
         match (version, light) {
-            (Version::V1, Some(_)) => events.push(Event::RadioPulses),
+            (Version::V1, Some(bytes)) => self.radio_pulses(id, bytes, events)?,
             (Version::V2, Some(stream)) if settled => self.light(id, stream, events)?,
             _ => {}
         }
         parsed
+    }
+
+    fn radio_pulses(
+        &self,
+        id: u8,
+        bytes: &[u8],
+        events: &mut Vec<Event>,
+    ) -> Result<(), DecodeError> {
+        let Some(now) = self.now else { return Ok(()) };
+        events.extend(radio_pulses::pulses(id, bytes)?.map(|pulse| Event::Pulse {
+            sensor: pulse.sensor,
+            length: pulse.length,
+            ticks: place(now, 2 * u64::from(pulse.ticks)) as u64,
+        }));
+        Ok(())
     }
 
     /// Counts a packet after a mode switch. Whether light may be believed again.

@@ -7,7 +7,7 @@
 
 use std::f64::consts::{FRAC_PI_2, FRAC_PI_6, TAU};
 
-use glam::DVec3;
+use glam::{DQuat, DVec3};
 
 /// Rotor speed that belongs to each channel of a generation-2 base station, revolutions a second.
 pub const ROTOR_HZ: [f64; 16] = [
@@ -109,6 +109,25 @@ fn reading(calibration: &PlaneCalibration, plane: usize, b: f64, e: f64) -> (f64
     let gain = 1.0 + gib_cos * calibration.gibmag;
     let reading = b - bent + gib_sin * calibration.gibmag - calibration.phase - FRAC_PI_2;
     (reading, (1.0 - bent_b) * gain, -bent_e * gain)
+}
+
+/// The direction, in a base station's frame, in which both planes' readings meet, as if the
+/// planes were flat.
+#[must_use]
+pub fn bearing(calibration: &[PlaneCalibration; 2], angles: [f64; 2]) -> DVec3 {
+    let normal = |plane: usize, sign: f64| {
+        let lean = calibration[plane].tilt + sign * FRAC_PI_6;
+        let turn = DQuat::from_rotation_y(angles[plane] + calibration[plane].phase);
+        turn * DVec3::new(lean.cos(), lean.sin(), 0.0)
+    };
+    let direction = normal(1, -1.0)
+        .cross(normal(0, 1.0))
+        .normalize_or(DVec3::NEG_Z);
+    if direction.z > 0.0 {
+        -direction
+    } else {
+        direction
+    }
 }
 
 /// The curvature polynomial with its first and second derivatives.

@@ -9,7 +9,6 @@ use super::{
     base_station::BaseStation,
     model::{DeviceModel, GRAVITY},
     motion::{RelativeMotion, Step},
-    reproject::{PlaneCalibration, reproject_with_gradient},
 };
 
 /// One sweep as a measurement.
@@ -173,7 +172,7 @@ impl<'a> Problem<'a> {
             let mut angles = [0.0; 2];
             angles[usize::from(first.plane & 1)] = first.angle;
             angles[usize::from(second.plane & 1)] = second.angle;
-            let direction = station.rotation * bearing(&station.calibration, angles);
+            let direction = station.rotation * station.bearing(angles);
             bearings.push((station.position, direction, step.turn * sensor));
         }
         bearings
@@ -322,8 +321,7 @@ impl<'a> Problem<'a> {
         let fall = DVec3::new(0.0, -0.5 * GRAVITY * step.tau * step.tau, 0.0);
         let point = at.position + at.velocity * step.tau + fall + at.rotation * arm;
         let plane = usize::from(seen.plane & 1);
-        let (expected, local) =
-            reproject_with_gradient(&station.calibration[plane], plane, station.to_local(point));
+        let (expected, local) = station.reading(plane, station.to_local(point));
         let by_point = station.rotation * local;
         let by_rotation = arm.cross(at.rotation.conjugate() * by_point);
         let by_velocity = by_point * step.tau;
@@ -389,31 +387,16 @@ fn upright(force: DVec3) -> DQuat {
     DQuat::from_rotation_arc(up, DVec3::Y)
 }
 
-/// The direction, in a base station's frame, in which both planes' readings meet, as if the
-/// planes were flat.
-fn bearing(calibration: &[PlaneCalibration; 2], angles: [f64; 2]) -> DVec3 {
-    use std::f64::consts::FRAC_PI_6;
-    let normal = |plane: usize, sign: f64| {
-        let lean = calibration[plane].tilt + sign * FRAC_PI_6;
-        let turn = DQuat::from_rotation_y(angles[plane] + calibration[plane].phase);
-        turn * DVec3::new(lean.cos(), lean.sin(), 0.0)
-    };
-    let direction = normal(1, -1.0)
-        .cross(normal(0, 1.0))
-        .normalize_or(DVec3::NEG_Z);
-    if direction.z > 0.0 {
-        -direction
-    } else {
-        direction
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use proptest::prelude::*;
 
     use super::*;
-    use crate::lighthouse::{motion::ImuSample, reproject::reproject};
+    use crate::lighthouse::{
+        base_station::Source,
+        motion::ImuSample,
+        reproject::{PlaneCalibration, reproject},
+    };
 
     /// A ball of sensors, all around.
     fn ball() -> DeviceModel {
@@ -442,7 +425,7 @@ mod tests {
                 ..Default::default()
             };
             BaseStation {
-                channel,
+                source: Source::Channel(channel),
                 id: 0,
                 position,
                 rotation: DQuat::from_mat3(&turn),

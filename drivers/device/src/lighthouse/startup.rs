@@ -3,47 +3,20 @@
 
 use posed_signal::{HostTime, time::MILLISECOND_NS};
 
-use super::{Variant, reader::Event, wire::id};
+use super::{
+    Variant,
+    output::{Output, get},
+    reader::Event,
+    wire::id,
+};
 use crate::decode::Command;
 
-/// Interface that takes the feature reports.
-const INTERFACE: u8 = 0;
-/// A feature report's length, report id included.
-const FEATURE_BYTES: u16 = 64;
 /// Pieces of the configuration asked for at a tick; one holds 62 bytes.
 const PIECES: usize = 24;
 /// A read of the configuration without an answer for this long starts over.
 const READ_PATIENCE_MS: u64 = 500;
 /// Between two attempts to switch the light's mode.
 const SWITCH_INTERVAL_MS: u64 = 2_000;
-
-const ENABLE_LIGHTHOUSE: &[u8] = &[id::MODE, 0, 0, 0, 0];
-const REPORT_ALL: &[u8] = &[id::VERBOSITY, 3, 0, 0, 0];
-const LIGHT_STREAM: &[u8] = &[id::MODE, 1, 0, 0, 0];
-const RADIO_ON: &[u8] = &[
-    id::RADIO_COMMAND,
-    0x96,
-    0x10,
-    0xbe,
-    0x5b,
-    0x32,
-    0x54,
-    0x11,
-    0xcf,
-    0x83,
-    0x75,
-    0x53,
-    0x8a,
-    0x08,
-    0x6a,
-    0x53,
-    0x58,
-    0xd0,
-    0xb1,
-];
-const RADIO_LIGHT_RAW: &[u8] = &[id::RADIO_COMMAND, 0x87, 6, 1, 0, 0, 2, 0, 0];
-const RADIO_PROTOCOL: &[u8] = &[id::RADIO_COMMAND, 0x87, 3, 0, 1, 0];
-const RADIO_LIGHT_STREAM: &[u8] = &[id::RADIO_COMMAND, 0x87, 6, 1, 1, 0, 2, 0, 0];
 
 /// The start of one device.
 #[derive(Debug, Clone)]
@@ -112,51 +85,40 @@ impl Startup {
     }
 
     fn begin(&self, commands: &mut Vec<Command>) {
-        let reports: &[&[u8]] = match self.variant {
-            Variant::Watchman => &[RADIO_ON, RADIO_LIGHT_RAW, RADIO_PROTOCOL],
-            Variant::Wired(_) => &[ENABLE_LIGHTHOUSE, REPORT_ALL],
+        let reports: &[Output] = match self.variant {
+            Variant::Watchman => &[
+                Output::RadioOn,
+                Output::RadioLightRaw,
+                Output::RadioProtocol,
+            ],
+            Variant::Wired(_) => &[Output::EnableLighthouse, Output::ReportAll],
             Variant::Mainboard => return,
         };
-        commands.extend(reports.iter().map(|report| set(report)));
+        commands.extend(reports.iter().map(|report| report.command()));
         commands.extend([get(id::INPUT), get(id::CONFIGURATION_START)]);
     }
 
     fn switch(&self, commands: &mut Vec<Command>) {
-        let reports: &[&[u8]] = match self.variant {
-            Variant::Watchman => &[RADIO_LIGHT_STREAM],
-            Variant::Wired(_) => &[LIGHT_STREAM, REPORT_ALL],
+        let reports: &[Output] = match self.variant {
+            Variant::Watchman => &[Output::RadioLightStream],
+            Variant::Wired(_) => &[Output::LightStream, Output::ReportAll],
             Variant::Mainboard => return,
         };
-        commands.extend(reports.iter().map(|report| set(report)));
+        commands.extend(reports.iter().map(|report| report.command()));
     }
-}
-
-fn set(data: &[u8]) -> Command {
-    Command::SetFeature {
-        interface: INTERFACE,
-        data: data.to_vec(),
-    }
-}
-
-fn get(id: u8) -> Command {
-    Command::GetFeature {
-        interface: INTERFACE,
-        id,
-        length: FEATURE_BYTES,
-    }
-}
-
-/// The report that powers a Vive's display and sensors up, for its mainboard.
-pub(super) fn power_on() -> Command {
-    let mut data = vec![id::MODE, 0x78, 0x29, 0x38, 1, 0, 0, 0, 0, 0, 2, 0, 1];
-    data.resize(usize::from(FEATURE_BYTES), 0);
-    set(&data)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::lighthouse::ImuClass;
+
+    fn set(data: &[u8]) -> Command {
+        Command::SetFeature {
+            interface: 0,
+            data: data.to_vec(),
+        }
+    }
 
     fn at(ms: u64) -> HostTime {
         HostTime(ms * MILLISECOND_NS)
@@ -202,10 +164,10 @@ mod tests {
         let mut startup = Startup::new(Variant::Watchman);
         assert_eq!(sent(&mut startup, 0).len(), 5);
         startup.event(&Event::Configuration(String::new()), at(10));
-        assert_eq!(sent(&mut startup, 20), [set(RADIO_LIGHT_STREAM)]);
+        assert_eq!(sent(&mut startup, 20), [Output::RadioLightStream.command()]);
         assert_eq!(
             sent(&mut startup, 3_000),
-            [set(RADIO_LIGHT_STREAM)],
+            [Output::RadioLightStream.command()],
             "it did not hear"
         );
         startup.event(

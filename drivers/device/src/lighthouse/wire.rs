@@ -36,6 +36,8 @@ pub(super) mod id {
     pub(crate) const MODE: u8 = 0x04;
     /// Feature report that sets what is reported.
     pub(crate) const VERBOSITY: u8 = 0x07;
+    /// Feature report that makes a wired device buzz; by radio, the same as a command.
+    pub(crate) const HAPTIC: u8 = 0x8f;
     /// Feature report that carries a radio command.
     pub(crate) const RADIO_COMMAND: u8 = 0xff;
 }
@@ -267,7 +269,7 @@ pub(super) fn light_report(data: &[u8]) -> Result<&[u8], DecodeError> {
 }
 
 /// A light pulse, as devices report it under base stations of generation 1.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Pulse {
     /// The sensor's hardware channel.
     pub sensor: u8,

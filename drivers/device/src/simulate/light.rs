@@ -1,6 +1,6 @@
 //! What a device sees of the light planes: which sensors, when, as words of its light stream.
 
-use std::f64::consts::TAU;
+use std::f64::consts::{FRAC_PI_2, PI, TAU};
 
 use glam::DVec3;
 
@@ -8,10 +8,12 @@ use super::blueprint::{Blueprint, Shade};
 use super::clock::DeviceClock;
 use super::device::{Path, Placement};
 use super::options::LightNoise;
+use super::pulses::Pulse;
 use super::random::Random;
 use super::rotor::Rotation;
-use crate::lighthouse::base_station::BaseStation;
-use crate::lighthouse::reproject::{PLANE_CENTRE, reproject};
+use crate::lighthouse::base_station::{BaseStation, Generation};
+use crate::lighthouse::reproject::PLANE_CENTRE;
+use crate::lighthouse::wire::TICKS_PER_SECOND;
 
 /// A sensor sees everything whose direction has this cosine to its normal, or a larger one.
 const SURE_COSINE: f64 = 0.5;
@@ -26,6 +28,10 @@ const REACH_M: f64 = 7.0;
 const SETTLED_S: f64 = 1e-10;
 /// Reflections are at most this far from the true time, seconds.
 const REFLECTION_S: f64 = 1e-3;
+
+/// Length of a flash without flags, and what each unit of its flags adds, ticks.
+const FLASH_TICKS: f64 = 3_000.0;
+const FLASH_STEP: f64 = 500.0;
 
 /// A word of the light stream.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -135,7 +141,7 @@ impl Optics {
     ) -> Vec<Word> {
         let mut words = Vec::new();
         for plane in 0..2 {
-            let centre_s = rotation.sync_s + rotation.period_s * PLANE_CENTRE[plane] / TAU;
+            let centre_s = passes(station, plane, rotation, 0.0);
             let about = path.at(centre_s);
             for index in 0..self.eyes.len() {
                 let eye = self.eyes[index];
@@ -152,7 +158,7 @@ impl Optics {
                 let bits = sweep_word(clock.ticks(self.disturbed(seconds)), eye.channel);
                 words.push(Word {
                     seen_s: seconds,
-                    channel: station.channel,
+                    channel: station.source.index() as u8,
                     bits,
                 });
             }
@@ -164,6 +170,67 @@ impl Optics {
             words.insert(0, Word { bits, ..first });
         }
         words
+    }
+
+    /// What the device sees of one half turn of a base station of generation 1: its flash, and its
+    /// plane where it does not skip. Of the flash a device by radio reports only two sensors'.
+    pub(super) fn watch_pulses(
+        &mut self,
+        path: &dyn Path,
+        clock: &DeviceClock,
+        station: &BaseStation,
+        rotation: &Rotation,
+        obstacles: &[Capsule],
+        flashes_max: usize,
+    ) -> Vec<Pulse> {
+        let turn = rotation.turn;
+        let flash = FLASH_TICKS
+            + FLASH_STEP
+                * f64::from(turn.rotor | u8::from(rotation.ootx) << 1 | u8::from(turn.skips) << 2);
+        let about = path.at(rotation.sync_s);
+        let mut pulses = Vec::new();
+        for index in 0..self.eyes.len() {
+            let eye = self.eyes[index];
+            if !self.sees(&about, &eye, station, obstacles)
+                || !in_light(station.to_local(about.point(eye.position)))
+            {
+                continue;
+            }
+            // Sensors that look away see less of it, at both ends.
+            let faint = 250.0 * (1.0 - cosine(&about, &eye, station)).powi(2);
+            let begin_s = rotation.sync_s + self.random.normal(self.noise.sync_s);
+            pulses.push(Pulse {
+                seen_s: begin_s + flash / TICKS_PER_SECOND,
+                sensor: eye.channel,
+                begin: clock.ticks(begin_s) + faint / 2.0,
+                length: (flash - faint) as u16,
+            });
+        }
+        pulses.sort_by_key(|pulse| std::cmp::Reverse(pulse.length));
+        pulses.truncate(flashes_max);
+        let plane = usize::from(turn.rotor);
+        for index in 0..self.eyes.len() {
+            let eye = self.eyes[index];
+            if turn.skips || pulses.is_empty() || !self.faces(&about, &eye, station) {
+                continue;
+            }
+            let crossing = crossing(path, &eye, station, plane, rotation, &about);
+            let Some((seconds, placement)) = crossing else {
+                continue;
+            };
+            if !self.sees(&placement, &eye, station, obstacles) {
+                continue;
+            }
+            let length = 80 + (160.0 * cosine(&placement, &eye, station)) as u16;
+            let middle = clock.ticks(self.disturbed(seconds));
+            pulses.push(Pulse {
+                seen_s: seconds,
+                sensor: eye.channel,
+                begin: middle - f64::from(length) / 2.0,
+                length,
+            });
+        }
+        pulses
     }
 
     /// Whether the sensor looks towards the base station at all.
@@ -232,8 +299,7 @@ fn crossing(
         if !in_light(local) {
             return None;
         }
-        let angle = PLANE_CENTRE[plane] + reproject(&station.calibration[plane], plane, local);
-        let next = rotation.sync_s + rotation.period_s * angle / TAU;
+        let next = passes(station, plane, rotation, station.reading(plane, local).0);
         if (next - seconds).abs() < SETTLED_S {
             return Some((next, placement));
         }
@@ -241,6 +307,15 @@ fn crossing(
         placement = path.at(seconds);
     }
     None
+}
+
+/// When a plane stands at an angle from its centre.
+fn passes(station: &BaseStation, plane: usize, rotation: &Rotation, angle: f64) -> f64 {
+    let share = match station.source.generation() {
+        Generation::One => (FRAC_PI_2 + angle) / PI,
+        Generation::Two => (PLANE_CENTRE[plane] + angle) / TAU,
+    };
+    rotation.sync_s + rotation.period_s * share
 }
 
 /// Whether a point in the base station's frame lies in its light.

@@ -2,7 +2,8 @@
 //! layout to the exact USB traffic of those devices, in the order in which it reaches the host.
 //!
 //! The traffic is that of a Valve Index headset on its cable and Index controllers behind
-//! watchman dongles, under base stations of generation 2. Sensor geometries, serials and
+//! watchman dongles, under base stations of generation 2; under those of generation 1 the headset
+//! reports pulses as a Vive does, and controllers speak the radio protocol of Vive wands. Sensor geometries, serials and
 //! calibrations are made up; formats, rates, latencies and errors are those of real devices, as
 //! captures show them.
 //!
@@ -17,6 +18,7 @@ mod imu;
 mod light;
 mod ootx;
 mod options;
+mod pulses;
 mod queue;
 mod random;
 mod rotor;
@@ -34,9 +36,9 @@ use serde::Serialize;
 
 pub use device::{Device, Model, Path, Placement};
 pub use options::{ImuNoise, LightNoise, Occluder, Options, UsbTiming};
-pub use stations::{default_stations, write_libsurvive};
+pub use stations::{default_stations, generation_one_stations, write_libsurvive};
 
-use crate::lighthouse::base_station::BaseStation;
+use crate::lighthouse::base_station::{BaseStation, Source};
 use crate::usb::{Packet, Port, Transfer};
 use light::Capsule;
 use random::{Purpose, Random};
@@ -61,8 +63,8 @@ pub enum SimulateError {
     #[error("simulation: a base station is set to channel {0}; channels go from 0 to 15")]
     NoSuchChannel(u8),
     /// Two base stations are set to one channel.
-    #[error("simulation: two base stations are set to channel {0}; give each its own")]
-    SharedChannel(u8),
+    #[error("simulation: two base stations are set to {0}; give each its own")]
+    SharedChannel(Source),
 }
 
 /// The true pose of a device at a time.
@@ -109,7 +111,7 @@ impl Simulator {
         options.check()?;
         let rotor = |(index, station)| {
             let random = Random::new(options.seed, Purpose::Rotor, index);
-            Rotor::new(station, options.light, random)
+            Rotor::new(station, options.stations.len(), options.light, random)
         };
         let mut simulator = Self {
             rotors: options

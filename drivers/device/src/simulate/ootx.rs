@@ -1,10 +1,10 @@
-//! The data that a base station of generation 2 broadcasts, one bit a rotation ("OOTX"): 17 zeros
+//! The data that a base station broadcasts, one bit a rotation ("OOTX"): 17 zeros
 //! and a one, the length, the payload and its CRC-32, with a one after every 16 bits so that the
 //! preamble stays unique.
 
 use half::f16;
 
-use crate::lighthouse::base_station::BaseStation;
+use crate::lighthouse::base_station::{BaseStation, Generation};
 use crate::lighthouse::reproject::PlaneCalibration;
 
 /// Firmware version that the payload states.
@@ -42,18 +42,28 @@ fn payload(station: &BaseStation) -> Vec<u8> {
             .concat()
     };
     let up = station.rotation.conjugate() * glam::DVec3::Y * GRAVITY_UNIT;
+    let generation = station.source.generation();
     let mut bytes = FIRMWARE.to_le_bytes().to_vec();
     bytes.extend(station.id.to_le_bytes());
     bytes.extend(halves(|plane| plane.phase));
-    bytes.extend(halves(|plane| plane.tilt));
+    match generation {
+        // The model's slope is the tangent of what is sent.
+        Generation::One => bytes.extend(halves(|plane| plane.tilt.atan())),
+        Generation::Two => bytes.extend(halves(|plane| plane.tilt)),
+    }
     // Unlock count and hardware model.
     bytes.extend([1, 15]);
     bytes.extend(halves(|plane| plane.curve));
     bytes.extend(up.to_array().map(|x| x.round() as i8 as u8));
     bytes.extend(halves(|plane| plane.gibphase));
     bytes.extend(halves(|plane| plane.gibmag));
+    if generation == Generation::One {
+        // Mode A or b, and no faults.
+        bytes.extend([station.source.index() as u8 & 1, 0]);
+        return bytes;
+    }
     // Mode, which is the channel with the top bit set, and no faults.
-    bytes.extend([0x80 | station.channel, 0]);
+    bytes.extend([0x80 | station.source.index() as u8, 0]);
     bytes.extend(halves(|plane| plane.ogeephase));
     bytes.extend(halves(|plane| plane.ogeemag));
     bytes.extend((station.id as u16 ^ 0x5a5a).to_le_bytes());

@@ -5,7 +5,7 @@ use posed_signal::HostTime;
 
 use super::SimulateError;
 use super::stations::default_stations;
-use crate::lighthouse::base_station::BaseStation;
+use crate::lighthouse::base_station::{BaseStation, Source};
 
 /// Errors of the inertial sensors.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -166,16 +166,16 @@ impl Default for Options {
 
 impl Options {
     pub(super) fn check(&self) -> Result<(), SimulateError> {
-        let mut channels = 0u16;
+        let mut sources = 0u32;
         for station in &self.stations {
-            if station.channel > 15 {
-                return Err(SimulateError::NoSuchChannel(station.channel));
+            if let Source::Channel(channel @ 16..) = station.source {
+                return Err(SimulateError::NoSuchChannel(channel));
             }
-            let bit = 1u16 << station.channel;
-            if channels & bit != 0 {
-                return Err(SimulateError::SharedChannel(station.channel));
+            let bit = 1u32 << station.source.index();
+            if sources & bit != 0 {
+                return Err(SimulateError::SharedChannel(station.source));
             }
-            channels |= bit;
+            sources |= bit;
         }
         let (light, imu, usb) = (&self.light, &self.imu, &self.usb);
         for (what, value, high) in [

@@ -28,8 +28,8 @@ pub(super) fn usb_id(model: Model) -> UsbId {
     }
 }
 
-/// Everything that is asked and answered, in order.
-pub(super) fn exchanges(device: &Device, blueprint: &Blueprint) -> Vec<Exchange> {
+/// Everything that is asked and answered, in order; `old` under base stations of generation 1.
+pub(super) fn exchanges(device: &Device, blueprint: &Blueprint, old: bool) -> Vec<Exchange> {
     let mut all = Vec::new();
     let mut push = |after_s: f64, setup: Setup, data: Vec<u8>| {
         let last = all
@@ -46,7 +46,7 @@ pub(super) fn exchanges(device: &Device, blueprint: &Blueprint) -> Vec<Exchange>
         get_descriptor(),
         device_descriptor(usb_id(device.model)),
     );
-    for command in start_commands(device.model) {
+    for command in start_commands(device.model, old) {
         push(2e-4, set_feature(command), command.to_vec());
     }
     let range = blueprint.range;
@@ -60,9 +60,14 @@ pub(super) fn exchanges(device: &Device, blueprint: &Blueprint) -> Vec<Exchange>
     all
 }
 
-/// Feature reports that a host sends to switch light on, in the second raw mode.
-fn start_commands(model: Model) -> &'static [&'static [u8]] {
+/// Feature reports that a host sends to switch light on, in the second raw mode where there is one.
+fn start_commands(model: Model, old: bool) -> &'static [&'static [u8]] {
     match model {
+        Model::Headset if old => &[&[0x04, 0x00, 0, 0, 0], &[0x07, 0x03, 0, 0, 0]],
+        _ if old => &[&[
+            0xff, 0x96, 0x10, 0xbe, 0x5b, 0x32, 0x54, 0x11, 0xcf, 0x83, 0x75, 0x53, 0x8a, 0x08,
+            0x6a, 0x53, 0x58, 0xd0, 0xb1,
+        ]],
         Model::Headset => &[&[0x04, 0x01, 0, 0, 0], &[0x07, 0x03, 0, 0, 0]],
         Model::LeftController | Model::RightController => &[
             &[
@@ -124,7 +129,7 @@ mod tests {
     fn descriptor_scales_and_configuration_are_exchanged() {
         let device = Device::new(Model::RightController, |_| Placement::IDENTITY);
         let blueprint = Blueprint::new(device.model, &Options::default(), 2);
-        let exchanges = exchanges(&device, &blueprint);
+        let exchanges = exchanges(&device, &blueprint, false);
         assert!(exchanges[0].setup.is_get_device_descriptor());
         assert_eq!(exchanges[0].data[8..12], [0xde, 0x28, 0x02, 0x21]);
         let ids: Vec<_> = exchanges

@@ -5,7 +5,7 @@ use std::fmt::Write;
 use glam::{DQuat, DVec3};
 use half::f16;
 
-use crate::lighthouse::base_station::{BaseStation, from_z_up};
+use crate::lighthouse::base_station::{BaseStation, Generation, Source, from_z_up};
 use crate::lighthouse::reproject::PlaneCalibration;
 
 /// Two base stations in opposite corners of a room of 5 by 5 m, 2.3 m up, looking down at its
@@ -27,7 +27,7 @@ pub fn default_stations() -> Vec<BaseStation> {
         }
     };
     let station = |channel, id, x: f64, z: f64, planes: [[f64; 7]; 2]| BaseStation {
-        channel,
+        source: Source::Channel(channel),
         id,
         position: DVec3::new(x, 2.3, z),
         rotation: DQuat::from_rotation_y(x.atan2(z)) * DQuat::from_rotation_x(-25f64.to_radians()),
@@ -57,11 +57,48 @@ pub fn default_stations() -> Vec<BaseStation> {
     ]
 }
 
+/// Two base stations of generation 1, A and b, in the places of [`default_stations`].
+#[must_use]
+pub fn generation_one_stations() -> Vec<BaseStation> {
+    let plane = |values: [f64; 5]| {
+        let [phase, tilt, curve, gibphase, gibmag] =
+            values.map(|value| f16::from_f64(value).to_f64());
+        PlaneCalibration {
+            phase,
+            tilt: tilt.tan(),
+            curve,
+            gibphase,
+            gibmag,
+            ..PlaneCalibration::default()
+        }
+    };
+    let planes = [
+        [
+            [0.023, -0.0095, 0.0023, 1.81, 0.0206],
+            [0.029, -0.0079, 0.0021, -1.18, -0.0123],
+        ],
+        [
+            [0.059, 0.0013, -0.0019, 2.89, 0.0047],
+            [0.062, 0.0001, -0.0036, 0.024, -0.0040],
+        ],
+    ];
+    let placed = default_stations().into_iter().zip(planes).enumerate();
+    placed
+        .map(|(slot, (station, planes))| BaseStation {
+            source: Source::Slot(slot as u8),
+            calibration: planes.map(plane),
+            ..station
+        })
+        .collect()
+}
+
 /// The stations in the file format that [`crate::lighthouse::base_station::parse_libsurvive`]
 /// reads: libsurvive's, in its Z-up world, with digits enough to lose nothing.
 #[must_use]
 pub fn write_libsurvive(stations: &[BaseStation]) -> String {
-    let mut text = String::from("\"v\":\"0\",\n\"lighthouse-gen\":\"2\"\n");
+    let old = |station: &BaseStation| station.source.generation() == Generation::One;
+    let generation = if stations.iter().any(old) { 1 } else { 2 };
+    let mut text = format!("\"v\":\"0\",\n\"lighthouse-gen\":\"{generation}\"\n");
     for (index, station) in stations.iter().enumerate() {
         let turn = from_z_up().conjugate();
         let position = turn * station.position;
@@ -77,7 +114,9 @@ pub fn write_libsurvive(stations: &[BaseStation]) -> String {
              \"fcalgibpha\":{},\n\"fcalgibmag\":{},\n\"fcalogeephase\":{},\n\
              \"fcalogeemag\":{},\n\"OOTXSet\":\"1\",\n\"PositionSet\":\"1\"\n}}\n",
             station.id as i32,
-            station.channel,
+            match station.source {
+                Source::Slot(number) | Source::Channel(number) => number,
+            },
             numbers(&pose),
             both(|plane| plane.phase),
             both(|plane| plane.tilt),
@@ -107,10 +146,16 @@ mod tests {
     #[test]
     fn the_file_reads_back() {
         let stations = default_stations();
+        let old = generation_one_stations();
         let read = parse_libsurvive(&write_libsurvive(&stations)).unwrap();
-        assert_eq!(read.len(), stations.len());
-        for (read, written) in read.iter().zip(&stations) {
-            assert_eq!((read.channel, read.id), (written.channel, written.id));
+        let read_old = parse_libsurvive(&write_libsurvive(&old)).unwrap();
+        assert_eq!((read.len(), read_old.len()), (stations.len(), old.len()));
+        let both = read
+            .iter()
+            .chain(&read_old)
+            .zip(stations.iter().chain(&old));
+        for (read, written) in both {
+            assert_eq!((read.source, read.id), (written.source, written.id));
             assert!((read.position - written.position).length() < 1e-9);
             assert!(read.rotation.angle_between(written.rotation) < 1e-6);
             for (read, written) in read.calibration.iter().zip(&written.calibration) {

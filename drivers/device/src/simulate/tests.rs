@@ -177,7 +177,7 @@ fn residuals(simulator: &mut Simulator, index: usize) -> Vec<f64> {
                 let rotor = simulator
                     .rotors
                     .iter()
-                    .find(|r| r.station.channel == channel);
+                    .find(|r| r.station.source == Source::Channel(channel));
                 let rotor = rotor.expect("the channel is that of a base station");
                 let angle = (seconds - sync) / rotor.mean_period_s() * TAU;
                 let plane = usize::from(angle > PI);
@@ -363,10 +363,13 @@ fn options_out_of_range_are_refused() {
         with(|o| o.light.drop = 2.0),
         Some(SimulateError::Range { .. })
     ));
-    let shared = with(|o| o.stations[1].channel = o.stations[0].channel);
-    assert_eq!(shared, Some(SimulateError::SharedChannel(2)));
+    let shared = with(|o| o.stations[1].source = o.stations[0].source);
     assert_eq!(
-        with(|o| o.stations[0].channel = 16),
+        shared,
+        Some(SimulateError::SharedChannel(Source::Channel(2)))
+    );
+    assert_eq!(
+        with(|o| o.stations[0].source = Source::Channel(16)),
         Some(SimulateError::NoSuchChannel(16))
     );
 }

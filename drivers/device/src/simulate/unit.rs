@@ -6,11 +6,13 @@ use super::device::{Device, Model};
 use super::imu::ImuSource;
 use super::light::{Capsule, Optics};
 use super::options::Options;
+use super::pulses::PulseQueue;
 use super::queue::LightQueue;
 use super::random::{Purpose, Random};
 use super::rotor::{Rotation, Rotor};
 use super::startup::{self, Exchange};
 use super::wire::{Cable, Radio, Report};
+use crate::lighthouse::base_station::{BaseStation, Generation};
 use crate::usb::Port;
 
 /// Ticks between two samples of a headset. A controller's IMU goes by a clock of its own, which
@@ -33,6 +35,9 @@ const RADIO_FROM_S: f64 = 0.3;
 const CABLE_LIGHT: (f64, usize) = (3e-3, 256);
 const RADIO_LIGHT: (f64, usize) = (1e-3, 40);
 
+/// Sensors of which a flash of generation 1 is sent by radio.
+const RADIO_FLASHES: usize = 2;
+
 enum Link {
     Cable(Cable),
     Radio(Radio),
@@ -46,6 +51,7 @@ pub(super) struct Unit {
     imu: ImuSource,
     optics: Optics,
     light: LightQueue,
+    pulses: PulseQueue,
     link: Link,
 }
 
@@ -55,12 +61,14 @@ impl Unit {
         let seed = options.seed;
         let stream = |purpose| Random::new(seed, purpose, index);
         let blueprint = Blueprint::new(device.model, options, index);
-        let exchanges = startup::exchanges(&device, &blueprint);
+        let old = |station: &BaseStation| station.source.generation() == Generation::One;
+        let old = options.stations.iter().any(old);
+        let exchanges = startup::exchanges(&device, &blueprint, old);
         let clock = DeviceClock::new(&mut stream(Purpose::Clock), options.usb.drift_ppm);
         let (interval, link, light) = match device.model {
             Model::Headset => (HEADSET_INTERVAL, Link::Cable(Cable::new()), CABLE_LIGHT),
             Model::LeftController | Model::RightController => {
-                let radio = Radio::new(options.usb.radio_loss, stream(Purpose::Radio));
+                let radio = Radio::new(old, options.usb.radio_loss, stream(Purpose::Radio));
                 let spread = stream(Purpose::Interval).normal(CONTROLLER_SPREAD);
                 (
                     CONTROLLER_INTERVAL * (1.0 + spread),
@@ -78,6 +86,7 @@ impl Unit {
             imu: ImuSource::new(&blueprint, options.imu, random, &clock, interval),
             optics: Optics::new(&blueprint, options.light, stream(Purpose::Light)),
             light: LightQueue::new(light.0, light.1),
+            pulses: PulseQueue::default(),
             device,
             clock,
             link,
@@ -95,6 +104,22 @@ impl Unit {
             return;
         }
         let (path, station) = (&*self.device.path, &rotor.station);
+        if station.source.generation() == Generation::One {
+            let flashes_max = match self.link {
+                Link::Cable(_) => usize::MAX,
+                Link::Radio(_) => RADIO_FLASHES,
+            };
+            let pulses = self.optics.watch_pulses(
+                path,
+                &self.clock,
+                station,
+                rotation,
+                obstacles,
+                flashes_max,
+            );
+            self.pulses.extend(pulses);
+            return;
+        }
         let words = self
             .optics
             .watch(path, &self.clock, station, rotation, obstacles);
@@ -107,6 +132,7 @@ impl Unit {
         let second = index.is_multiple_of(2);
         if second {
             self.light.process(now);
+            self.pulses.process(now);
         }
         let (path, measured_by) = (&*self.device.path, now - SAMPLE_LATENCY_S);
         while let Some(mut sample) = self.imu.next(path, &self.clock, measured_by) {
@@ -119,10 +145,10 @@ impl Unit {
             }
         }
         match &mut self.link {
-            Link::Cable(cable) => cable.poll(&mut self.light, reports),
+            Link::Cable(cable) => cable.poll(&mut self.light, &mut self.pulses, reports),
             Link::Radio(radio) if second => {
                 let ticks = self.clock.ticks(now) as u64 as u32;
-                radio.poll(ticks, &mut self.light, reports);
+                radio.poll(ticks, &mut self.light, &mut self.pulses, reports);
             }
             Link::Radio(_) => {}
         }

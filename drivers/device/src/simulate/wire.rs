@@ -4,6 +4,7 @@
 use std::collections::VecDeque;
 
 use super::imu::RawImu;
+use super::pulses::PulseQueue;
 use super::queue::LightQueue;
 use super::random::Random;
 
@@ -42,7 +43,12 @@ impl Cable {
     }
 
     /// What the host gets when it asks every endpoint once.
-    pub(super) fn poll(&mut self, light: &mut LightQueue, reports: &mut Vec<Report>) {
+    pub(super) fn poll(
+        &mut self,
+        light: &mut LightQueue,
+        pulses: &mut PulseQueue,
+        reports: &mut Vec<Report>,
+    ) {
         if std::mem::take(&mut self.fresh) {
             let mut report = vec![0x20];
             for sample in &self.samples {
@@ -51,6 +57,9 @@ impl Cable {
                 report.push(sample.sequence);
             }
             reports.push((IMU_ENDPOINT, report));
+        }
+        if !pulses.is_empty() {
+            reports.push((LIGHT_ENDPOINT, pulses.report()));
         }
         if light.ready() > 0 {
             let stream = light.pack(Self::WORDS_MAX, Self::STREAM_MAX);
@@ -75,6 +84,8 @@ pub(super) struct Radio {
     sending: VecDeque<(u16, Vec<u8>)>,
     /// What the dongle's buffers hold: the end of longer packets stays.
     slots: [[u8; Self::PACKET]; 2],
+    /// Speaks version 1 of the protocol.
+    old: bool,
     loss: f64,
     random: Random,
 }
@@ -91,12 +102,15 @@ impl Radio {
     const DOUBLE: f64 = 0.06;
     const FLAG_IMU: u8 = 0x80;
     const FLAG_LIGHT: u8 = 0x10;
+    /// An event of version 1 that is a sample.
+    const EVENT_IMU: u8 = 0xe8;
 
-    pub(super) fn new(loss: f64, random: Random) -> Self {
+    pub(super) fn new(old: bool, loss: f64, random: Random) -> Self {
         Self {
             samples: VecDeque::new(),
             sending: VecDeque::new(),
             slots: [[0; Self::PACKET]; 2],
+            old,
             loss,
             random,
         }
@@ -107,17 +121,27 @@ impl Radio {
     }
 
     /// Makes packets of what waits at `ticks`: samples first, light behind them or by itself.
-    fn prepare(&mut self, ticks: u32, light: &mut LightQueue) {
+    fn prepare(&mut self, ticks: u32, light: &mut LightQueue, pulses: &mut PulseQueue) {
         while self.sending.len() < Self::AHEAD {
             let (time, mut payload) = match self.samples.pop_front() {
                 Some(sample) => {
-                    let mut payload = vec![Self::FLAG_IMU, (sample.ticks >> 8) as u8];
+                    let flags = if self.old {
+                        Self::EVENT_IMU
+                    } else {
+                        Self::FLAG_IMU
+                    };
+                    let mut payload = vec![flags, (sample.ticks >> 8) as u8];
                     payload.extend(imu_values(&sample));
                     (sample.ticks, payload)
                 }
+                None if !pulses.is_empty() => (ticks, pulses.pack(Self::PAYLOAD_MAX)),
                 None if light.ready() > 0 => (ticks, vec![0]),
                 None => return,
             };
+            if self.old {
+                self.sending.push_back(((time >> 16) as u16, payload));
+                continue;
+            }
             let words = if payload.len() > 1 { 2 } else { 6 };
             let stream = light.pack(words, Self::PAYLOAD_MAX - payload.len());
             if !stream.is_empty() {
@@ -129,8 +153,14 @@ impl Radio {
     }
 
     /// What the host gets from the dongle after one radio slot at `ticks`.
-    pub(super) fn poll(&mut self, ticks: u32, light: &mut LightQueue, reports: &mut Vec<Report>) {
-        self.prepare(ticks, light);
+    pub(super) fn poll(
+        &mut self,
+        ticks: u32,
+        light: &mut LightQueue,
+        pulses: &mut PulseQueue,
+        reports: &mut Vec<Report>,
+    ) {
+        self.prepare(ticks, light, pulses);
         let count = if self.random.chance(Self::DOUBLE) {
             2
         } else {
@@ -150,7 +180,7 @@ impl Radio {
             slot[3..3 + payload.len()].copy_from_slice(&payload);
             received += 1;
         }
-        self.prepare(ticks, light);
+        self.prepare(ticks, light, pulses);
         let report = match received {
             0 => return,
             1 => [&[0x23], &self.slots[0][..]].concat(),
@@ -180,9 +210,9 @@ mod tests {
         let (mut light, mut reports) = (LightQueue::new(3e-3, 256), Vec::new());
         for sequence in 0..5 {
             cable.measured(sample(sequence));
-            cable.poll(&mut light, &mut reports);
+            cable.poll(&mut light, &mut PulseQueue::default(), &mut reports);
         }
-        cable.poll(&mut light, &mut reports);
+        cable.poll(&mut light, &mut PulseQueue::default(), &mut reports);
         assert_eq!(reports.len(), 5, "nothing new, no report");
         let (endpoint, last) = &reports[4];
         assert_eq!((*endpoint, last.len(), last[0]), (0x81, 52, 0x20));
@@ -195,10 +225,10 @@ mod tests {
 
     #[test]
     fn a_radio_packet_is_laid_out_as_the_real_one() {
-        let mut radio = Radio::new(0.0, Random::new(1, Purpose::Radio, 0));
+        let mut radio = Radio::new(false, 0.0, Random::new(1, Purpose::Radio, 0));
         let (mut light, mut reports) = (LightQueue::new(3e-3, 256), Vec::new());
         radio.measured(sample(0));
-        radio.poll(0, &mut light, &mut reports);
+        radio.poll(0, &mut light, &mut PulseQueue::default(), &mut reports);
         let (endpoint, report) = &reports[0];
         assert_eq!((*endpoint, report.len()), (0x81, 30));
         // Time bits 31-24, size from byte 2 on, bits 23-16, flags, bits 15-8.

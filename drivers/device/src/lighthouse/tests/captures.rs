@@ -31,7 +31,7 @@ use crate::{
 };
 
 /// The captures under `$POSED_SHARED/captures/lighthouse`, or `None` where there are none.
-fn captures(test: &str) -> Option<PathBuf> {
+pub(super) fn captures(test: &str) -> Option<PathBuf> {
     let beside = || Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared");
     let shared = env::var_os("POSED_SHARED").map_or_else(beside, PathBuf::from);
     let captures = shared.join("captures/lighthouse");
@@ -42,7 +42,7 @@ fn captures(test: &str) -> Option<PathBuf> {
     Some(captures)
 }
 
-fn packets(path: &Path) -> Vec<Packet> {
+pub(super) fn packets(path: &Path) -> Vec<Packet> {
     let items = open(File::open(path).unwrap()).unwrap();
     items
         .filter_map(|item| match item {
@@ -70,7 +70,7 @@ fn inspected(path: &Path) -> BTreeMap<String, Report> {
 }
 
 /// Every device of a capture, tracked; time counts from the capture's first packet.
-fn tracked(path: &Path, stations: &Path) -> (f64, Vec<Tracked>) {
+pub(super) fn tracked(path: &Path, stations: &Path) -> (f64, Vec<Tracked>) {
     let base_stations = parse_libsurvive(&fs::read_to_string(stations).unwrap()).unwrap();
     let settings = Settings { base_stations };
     let mut devices = BTreeMap::<Port, (Box<dyn Decoder>, Tracked)>::new();

@@ -1,6 +1,8 @@
 //! The decoders as a whole, on real captures and against the simulator's truth.
 
+mod broadcasts;
 mod captures;
+mod generation1;
 mod simulated;
 
 use posed_signal::{Imu, Pose, Sample};

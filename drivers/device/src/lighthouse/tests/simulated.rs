@@ -6,12 +6,20 @@ use glam::{DQuat, DVec3};
 use posed_signal::{HostTime, Pose, PoseHow};
 
 use super::{
-    super::{Settings, Variant, decoder},
+    super::{
+        Settings, Variant,
+        base_station::{BaseStation, Source},
+        decoder,
+        inspect::Inspector,
+    },
     Tracked, quantile,
 };
 use crate::{
     decode::Decoder,
-    simulate::{Device, Model, Options, Path, Placement, Simulator},
+    simulate::{
+        Device, Model, Options, Path, Placement, Simulator, default_stations,
+        generation_one_stations,
+    },
     usb::{Packet, Port},
 };
 
@@ -55,8 +63,17 @@ struct Walk {
 
 /// Tracks the walk for some seconds; packets that `pass` refuses (by seconds and packet) are lost.
 fn walk(seconds: f64, pass: impl Fn(f64, &Packet) -> bool) -> Walk {
+    walk_under(default_stations(), seconds, pass)
+}
+
+fn walk_under(
+    stations: Vec<BaseStation>,
+    seconds: f64,
+    pass: impl Fn(f64, &Packet) -> bool,
+) -> Walk {
     let options = Options {
         duration_s: seconds,
+        stations,
         ..Options::default()
     };
     let start = options.start;
@@ -192,5 +209,75 @@ fn a_controller_out_of_reach_is_found_again() {
         });
         let after = back.unwrap().0.at.since_secs(walk.start) - 3.4;
         assert!(after < 0.15, "{index}: found after {after} s");
+    }
+}
+
+/// A headset that reports pulses, and controllers that speak the radio protocol of wands.
+#[test]
+fn a_walk_under_generation_one_is_tracked() {
+    let walk = walk_under(generation_one_stations(), 8.0, |_, _| true);
+    for index in 0..3 {
+        let errors = walk.errors(index, 2.0);
+        assert!(errors.len() > 1_400, "{index}: {}", errors.len());
+        let optical = errors
+            .iter()
+            .filter(|(pose, ..)| pose.how == PoseHow::Optical);
+        assert!(optical.count() as f64 > 0.99 * errors.len() as f64);
+        let metres = |q| quantile(errors.iter().map(|error| error.1), q);
+        let degrees = |q| quantile(errors.iter().map(|error| error.2), q);
+        println!(
+            "{index}: {} {} m, {} {}",
+            metres(0.5),
+            metres(0.99),
+            degrees(0.5),
+            degrees(0.99)
+        );
+        assert!(
+            metres(0.5) < 2e-3 && metres(0.99) < 1e-2,
+            "{index}: {}",
+            metres(0.99)
+        );
+        assert!(
+            degrees(0.5) < 0.2 && degrees(0.99) < 0.8,
+            "{index}: {}",
+            degrees(0.99)
+        );
+    }
+}
+
+#[test]
+fn simulated_stations_say_what_they_are() {
+    for (stations, seconds) in [(generation_one_stations(), 5.0), (default_stations(), 12.0)] {
+        let options = Options {
+            duration_s: seconds,
+            stations: stations.clone(),
+            ..Options::default()
+        };
+        let device = Device::new(Model::Headset, |_: f64| Placement {
+            position: DVec3::new(0.0, 1.6, 0.0),
+            rotation: DQuat::IDENTITY,
+        });
+        let mut inspector = Inspector::new(None);
+        for packet in Simulator::new(options, vec![device]).unwrap() {
+            inspector.packet(&packet);
+        }
+        let report = inspector.report();
+        assert_eq!((report.errors, report.stations.len()), (0, 2));
+        for station in &stations {
+            let heard = &report.stations[&station.source];
+            let broadcast = heard.broadcast.unwrap();
+            assert!(heard.sweeps > 500, "{:?}: {}", station.source, heard.sweeps);
+            assert_eq!(broadcast.id, station.id);
+            let up = station.rotation.conjugate() * DVec3::Y;
+            assert!(broadcast.up.angle_between(up) < 0.01);
+            let pairs = broadcast.calibration.iter().zip(&station.calibration);
+            for (heard, sent) in pairs {
+                assert!((heard.tilt - sent.tilt).abs() < 1e-5, "{heard:?} {sent:?}");
+                assert_eq!((heard.curve, heard.gibmag), (sent.curve, sent.gibmag));
+            }
+            if let Source::Slot(slot) = station.source {
+                assert_eq!(broadcast.mode, slot);
+            }
+        }
     }
 }

@@ -1,0 +1,299 @@
+//! What a base station says about itself ("OOTX"): its serial number, the shape of its light planes
+//! and which way is up, sent bit by bit with its sync pulses, over and over. Layouts are
+//! libsurvive's (MIT), checked against captures.
+//!
+//! A frame is 17 zeros and a one, then words of 16 bits with a one behind each: the payload's
+//! length (little-endian), the payload, filled up to a word, and its CRC-32.
+
+use glam::DVec3;
+use half::f16;
+
+use super::{base_station::Generation, reproject::PlaneCalibration};
+
+/// Zeros before a frame; nothing else in it has so many.
+const PREAMBLE_ZEROS: u64 = 17;
+/// Longest payload that is read; the longest known has 43 bytes.
+const PAYLOAD_MAX: usize = 64;
+/// Bits of a frame that carries so many bytes.
+const fn frame_bits(payload: usize) -> usize {
+    let words = 1 + payload.div_ceil(2) + 2;
+    PREAMBLE_ZEROS as usize + 1 + 17 * words
+}
+/// Bits kept: two of the longest frames.
+const WINDOW: usize = 2 * frame_bits(PAYLOAD_MAX);
+
+/// What a base station says about itself.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Broadcast {
+    /// Its serial number.
+    pub id: u32,
+    /// Version of its firmware (bits 15 to 6) and of this protocol (the others).
+    pub firmware: u16,
+    /// Version of its hardware.
+    pub hardware: u8,
+    /// What it is set to: 0, 1 and 2 are a generation-1 station's A, b and c; the low seven bits of
+    /// a generation-2 station's are its channel.
+    pub mode: u8,
+    /// Faults that it has found with itself; 0 where there are none.
+    pub faults: u8,
+    /// How often its rotors have lost their lock, modulo 256.
+    pub unlocks: u8,
+    /// Up, by its own accelerometer, in its own frame; unit, to half a degree.
+    pub up: DVec3,
+    /// Shape of its two light planes.
+    pub calibration: [PlaneCalibration; 2],
+}
+
+impl Broadcast {
+    /// Reads a payload; `None` where it is too short or a number is not finite.
+    #[must_use]
+    pub fn parse(generation: Generation, payload: &[u8]) -> Option<Self> {
+        let byte = |at: usize| payload.get(at).copied();
+        let mut calibration = [PlaneCalibration::default(); 2];
+        let mut fill = |at: usize, slot: fn(&mut PlaneCalibration) -> &mut f64| {
+            for (index, plane) in calibration.iter_mut().enumerate() {
+                let half = [byte(at + 2 * index)?, byte(at + 2 * index + 1)?];
+                let value = f16::from_le_bytes(half).to_f64();
+                *slot(plane) = Some(value).filter(|value| value.is_finite())?;
+            }
+            Some(())
+        };
+        fill(6, |plane| &mut plane.phase)?;
+        fill(10, |plane| &mut plane.tilt)?;
+        fill(16, |plane| &mut plane.curve)?;
+        fill(23, |plane| &mut plane.gibphase)?;
+        fill(27, |plane| &mut plane.gibmag)?;
+        match generation {
+            // The model wants the tangent of what is sent, as libsurvive found.
+            Generation::One => {
+                for plane in &mut calibration {
+                    plane.tilt = plane.tilt.tan();
+                }
+            }
+            Generation::Two => {
+                fill(33, |plane| &mut plane.ogeephase)?;
+                fill(37, |plane| &mut plane.ogeemag)?;
+            }
+        }
+        let axis = |at| byte(at).map(|byte| f64::from(byte.cast_signed()));
+        Some(Self {
+            id: u32::from_le_bytes([byte(2)?, byte(3)?, byte(4)?, byte(5)?]),
+            firmware: u16::from_le_bytes([byte(0)?, byte(1)?]),
+            hardware: byte(15)?,
+            mode: byte(31)?,
+            faults: byte(32)?,
+            unlocks: byte(14)?,
+            up: DVec3::new(axis(20)?, axis(21)?, axis(22)?).normalize_or(DVec3::Y),
+            calibration,
+        })
+    }
+}
+
+/// Joins one base station's bits to payloads. Bits may be missing: the same bit comes again one
+/// frame later, and a frame is read as soon as each of its bits has been seen once.
+#[derive(Debug, Clone)]
+pub struct BitStream {
+    /// The newest [`WINDOW`] bits, by position modulo the window.
+    bits: Vec<Option<bool>>,
+    /// Position of the next bit.
+    next: u64,
+    /// Zeros in a row up to it.
+    zeros: u64,
+    /// Position of the newest preamble whose frame has not been read yet.
+    preamble: Option<u64>,
+}
+
+impl Default for BitStream {
+    fn default() -> Self {
+        Self {
+            bits: vec![None; WINDOW],
+            next: 0,
+            zeros: 0,
+            preamble: None,
+        }
+    }
+}
+
+impl BitStream {
+    /// Takes the bit that comes `missed` bits after the last one taken. Returns a payload whose
+    /// check sum is right, once a frame.
+    pub fn push(&mut self, missed: u64, bit: bool) -> Option<Vec<u8>> {
+        if missed > WINDOW as u64 {
+            *self = Self::default();
+        }
+        for _ in 0..missed {
+            self.put(None);
+        }
+        self.put(Some(bit));
+        if !bit {
+            self.zeros += 1;
+        } else if std::mem::take(&mut self.zeros) == PREAMBLE_ZEROS {
+            self.preamble = Some(self.next - 1 - PREAMBLE_ZEROS);
+        }
+        let payload = self.frame(self.preamble?)?;
+        self.preamble = None;
+        Some(payload)
+    }
+
+    fn put(&mut self, bit: Option<bool>) {
+        self.bits[(self.next % WINDOW as u64) as usize] = bit;
+        self.next += 1;
+        if bit.is_none() {
+            self.zeros = 0;
+        }
+    }
+
+    fn at(&self, position: u64) -> Option<bool> {
+        let kept = position < self.next && position + WINDOW as u64 >= self.next;
+        kept.then(|| self.bits[(position % WINDOW as u64) as usize])
+            .flatten()
+    }
+
+    /// The payload of the frame that begins at `start`; bits that are not there are taken from the
+    /// frame before.
+    fn frame(&self, start: u64) -> Option<Vec<u8>> {
+        let body = start + PREAMBLE_ZEROS + 1;
+        let (low, high) = (self.byte(body, 0)?, self.byte(body + 8, 0)?);
+        let length = usize::from(u16::from_le_bytes([low, high]));
+        if length > PAYLOAD_MAX {
+            return None;
+        }
+        let period = frame_bits(length) as u64;
+        // The last bits come last: without them there is no need to look at the others.
+        let words = (0..(period - PREAMBLE_ZEROS - 1) / 17).rev();
+        let mut bytes = Vec::with_capacity(PAYLOAD_MAX + 8);
+        for word in words {
+            let at = body + 17 * word;
+            if !self.bit(at + 16, period)? {
+                return None;
+            }
+            bytes.push(self.byte(at + 8, period)?);
+            bytes.push(self.byte(at, period)?);
+        }
+        bytes.reverse();
+        let (filled, sum) = bytes[2..].split_last_chunk::<4>()?;
+        let payload = filled.get(..length)?;
+        let mut crc = flate2::Crc::new();
+        crc.update(payload);
+        (crc.sum() == u32::from_le_bytes(*sum)).then(|| payload.to_vec())
+    }
+
+    fn bit(&self, position: u64, period: u64) -> Option<bool> {
+        let before = || self.at(position.checked_sub(period)?);
+        self.at(position).or_else(before)
+    }
+
+    fn byte(&self, position: u64, period: u64) -> Option<u8> {
+        (0..8).try_fold(0, |byte, n| {
+            Some(byte << 1 | u8::from(self.bit(position + n, period)?))
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    /// The bits of a frame.
+    fn bits(payload: &[u8]) -> Vec<bool> {
+        let mut crc = flate2::Crc::new();
+        crc.update(payload);
+        let mut bytes = (payload.len() as u16).to_le_bytes().to_vec();
+        bytes.extend(payload);
+        bytes.resize(bytes.len().next_multiple_of(2), 0);
+        bytes.extend(crc.sum().to_le_bytes());
+        let mut bits = vec![false; 17];
+        bits.push(true);
+        for pair in bytes.chunks(2) {
+            let byte = |byte: u8| (0..8).rev().map(move |bit| byte >> bit & 1 == 1);
+            bits.extend(pair.iter().copied().flat_map(byte));
+            bits.push(true);
+        }
+        bits
+    }
+
+    /// Position after which the payload came.
+    fn read_at(stream: impl Iterator<Item = Option<bool>>, payload: &[u8]) -> Option<usize> {
+        let (mut reader, mut missed) = (BitStream::default(), 0);
+        for (index, bit) in stream.enumerate() {
+            let Some(bit) = bit else {
+                missed += 1;
+                continue;
+            };
+            if let Some(found) = reader.push(std::mem::take(&mut missed), bit) {
+                assert_eq!(found, payload);
+                return Some(index);
+            }
+        }
+        None
+    }
+
+    #[test]
+    fn a_frame_is_read_as_soon_as_all_of_it_was_there() {
+        let payload: Vec<u8> = (0..43).map(|n| n * 37).collect();
+        let frame = bits(&payload);
+        assert_eq!(frame.len(), 443);
+        for start in [0, 1, 100, 200, 420, 442] {
+            let stream = frame.iter().cycle().skip(start).copied().map(Some);
+            let at = read_at(stream.take(1_000), &payload).unwrap();
+            // The preamble and the length behind it have to come in one piece.
+            assert!((442..442 + 34).contains(&at), "{start}: {at}");
+        }
+    }
+
+    #[test]
+    fn a_wrong_bit_is_no_payload() {
+        let payload = [7; 33];
+        let mut frame = bits(&payload);
+        frame[100] = !frame[100];
+        let stream = frame.iter().cycle().copied().map(Some);
+        assert_eq!(read_at(stream.take(2_000), &payload), None);
+    }
+
+    #[test]
+    fn payloads_say_what_they_say() {
+        let mut payload = [0u8; 43];
+        payload[2..6].copy_from_slice(&0xdead_beefu32.to_le_bytes());
+        payload[10..12].copy_from_slice(&f16::from_f64(0.05).to_le_bytes());
+        payload[21] = 127;
+        payload[39..41].copy_from_slice(&f16::from_f64(-0.25).to_le_bytes());
+        let read = Broadcast::parse(Generation::Two, &payload).unwrap();
+        assert_eq!((read.id, read.up), (0xdead_beef, DVec3::Y));
+        assert_eq!(read.calibration[0].tilt, f16::from_f64(0.05).to_f64());
+        assert_eq!(read.calibration[1].ogeemag, -0.25);
+        let old = Broadcast::parse(Generation::One, &payload[..33]).unwrap();
+        assert_eq!(old.calibration[0].tilt, read.calibration[0].tilt.tan());
+        assert_eq!(Broadcast::parse(Generation::Two, &payload[..33]), None);
+        payload[7] = 0x7e;
+        assert_eq!(
+            Broadcast::parse(Generation::Two, &payload),
+            None,
+            "no number"
+        );
+    }
+
+    proptest! {
+        #[test]
+        fn missing_bits_are_taken_from_the_next_frame(
+            seed in prop::collection::vec(any::<u8>(), 33..=43),
+            lost in prop::collection::vec(0.0f64..1.0, 1_800), share in 0.0f64..0.03,
+        ) {
+            let frame = bits(&seed);
+            let stream = frame.iter().cycle().zip(&lost)
+                .map(|(bit, lost)| (*lost >= share).then_some(*bit));
+            prop_assert!(read_at(stream, &seed).is_some());
+        }
+
+        #[test]
+        fn any_bits_are_survived(bits in prop::collection::vec((0u64..3, any::<bool>()), 0..3_000)) {
+            let mut reader = BitStream::default();
+            for (missed, bit) in bits {
+                if let Some(payload) = reader.push(missed, bit) {
+                    let _ = Broadcast::parse(Generation::Two, &payload);
+                }
+            }
+        }
+    }
+}

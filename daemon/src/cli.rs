@@ -27,6 +27,8 @@ pub enum Command {
     Replay(ReplayArgs),
     /// Say what a capture holds, device by device.
     Inspect(InspectArgs),
+    /// Track every device of many captures, and print how well: one table.
+    Survey(SurveyArgs),
     /// Write the traffic of the devices on this PC to a capture; or have a running posed write
     /// its poses to a file.
     Record(RecordArgs),
@@ -109,7 +111,8 @@ pub struct RunArgs {
 /// Arguments of `posed replay`.
 #[derive(Debug, Args)]
 pub struct ReplayArgs {
-    /// Captures: usbmon or USBPcap, pcap or pcapng, gzip'd or not, or hid-recorder text. Several
+    /// Captures: usbmon or USBPcap, pcap or pcapng, gzip'd or not, hid-recorder text or
+    /// libsurvive's recordings. Several
     /// are merged by time.
     #[arg(required = true, value_name = "FILE")]
     pub files: Vec<PathBuf>,
@@ -138,6 +141,29 @@ pub struct ReplayArgs {
 pub struct InspectArgs {
     /// The capture.
     pub file: PathBuf,
+    /// As JSON.
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// Where base stations' poses come from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum Stations {
+    /// The libsurvive JSON beside a capture, `NAME.json`, where there is one.
+    Beside,
+    /// The light alone.
+    None,
+}
+
+/// Arguments of `posed survey`.
+#[derive(Debug, Args)]
+pub struct SurveyArgs {
+    /// Captures, and folders that hold some.
+    #[arg(required = true, value_name = "PATH")]
+    pub paths: Vec<PathBuf>,
+    /// Where the base stations' poses come from.
+    #[arg(long, value_enum, default_value = "beside")]
+    pub base_stations: Stations,
     /// As JSON.
     #[arg(long)]
     pub json: bool,

@@ -36,6 +36,7 @@ fn run(command: &Command) -> Result<(), CommandError> {
         Command::Run(args) => commands::run::run(args),
         Command::Replay(args) => commands::replay::run(args),
         Command::Inspect(args) => commands::inspect::run(args),
+        Command::Survey(args) => commands::survey::run(args),
         Command::Record(args) => match &args.live {
             None => commands::record::run(args),
             Some(RecordLive::Start(args)) => control::start_recording(args),

@@ -15,6 +15,7 @@ pub mod run;
 mod settings;
 pub mod simulate;
 mod summary;
+pub mod survey;
 
 use std::{io, path::Path};
 

@@ -88,7 +88,13 @@ pub fn options(config: &Config) -> Result<Options, CommandError> {
     })
 }
 
-fn base_stations(path: &Path) -> Result<Vec<lighthouse::base_station::BaseStation>, CommandError> {
+/// The base stations in a file.
+///
+/// # Errors
+/// It cannot be read, or holds none.
+pub(super) fn base_stations(
+    path: &Path,
+) -> Result<Vec<lighthouse::base_station::BaseStation>, CommandError> {
     let text = fs::read_to_string(path).map_err(|error| CommandError::file(path, error))?;
     lighthouse::base_station::parse_libsurvive(&text)
         .map_err(|error| CommandError::Input(format!("{}: {error}", path.display())))

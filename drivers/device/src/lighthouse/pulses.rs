@@ -23,7 +23,7 @@ const FLASH_TOLERANCE: f64 = 3_000.0;
 /// Sensors see one flash within this time of each other, ticks: faint ones late.
 const FLASH_SPREAD: f64 = 1_500.0;
 /// Pulses from here on are flashes.
-const FLASH_LENGTH: u16 = 2_500;
+pub(super) const FLASH_LENGTH: u16 = 2_500;
 /// The shortest flash, and what another flag adds to it, ticks (62.5 and 10.4 us).
 const SHORTEST: i32 = 3_000;
 const STEP: i32 = 500;

@@ -92,6 +92,8 @@ pub struct Reader {
     now: Option<u64>,
     blob: BlobReader,
     version: Option<Version>,
+    /// A packet has told the protocol; until then it is a guess.
+    told: bool,
     votes: u8,
     /// Packets without light, and of any kind, still to pass before light is believed.
     settling: (u8, u8),
@@ -254,7 +256,10 @@ impl Reader {
             Part::Light(stream) => light = Some(stream),
         });
         match (version, light) {
-            (Version::V1, Some(bytes)) => self.radio_pulses(id, bytes, events)?,
+            // What looks like light before the protocol is known, or while it changes, may be anything.
+            (Version::V1, Some(bytes)) if self.told && settled => {
+                self.radio_pulses(id, bytes, events)?;
+            }
             (Version::V2, Some(stream)) if settled => self.light(id, stream, events)?,
             _ => {}
         }
@@ -294,6 +299,7 @@ impl Reader {
     /// Which protocol is spoken: the packets themselves tell.
     fn vote(&mut self, seen: Option<Version>) -> Version {
         let current = *self.version.get_or_insert(seen.unwrap_or(Version::V1));
+        self.told |= seen.is_some();
         match seen {
             Some(seen) if seen != current => {
                 self.votes += 1;

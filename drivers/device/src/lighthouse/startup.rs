@@ -6,6 +6,7 @@ use posed_signal::{HostTime, time::MILLISECOND_NS};
 use super::{
     Variant,
     output::{Output, get},
+    pulses::FLASH_LENGTH,
     reader::Event,
     wire::id,
 };
@@ -15,6 +16,10 @@ use crate::decode::Command;
 const PIECES: usize = 24;
 /// A read of the configuration without an answer for this long starts over.
 const READ_PATIENCE_MS: u64 = 500;
+/// So long a device by radio is listened to for flashes, before its light's mode is switched.
+const LISTEN_MS: u64 = 500;
+/// So many flashes show that the base stations are of generation 1.
+const FLASHES_MIN: u32 = 16;
 /// Between two attempts to switch the light's mode.
 const SWITCH_INTERVAL_MS: u64 = 2_000;
 
@@ -27,8 +32,12 @@ pub(super) struct Startup {
     reading: bool,
     /// Newest sign of life in the read, or its start.
     read_at: Option<HostTime>,
+    /// When the configuration was there.
+    configured_at: Option<HostTime>,
     /// The device waits for the light's mode switch, or shows no light at all.
     wants_switch: bool,
+    /// Flashes of generation-1 base stations: there is no mode for them to be switched to.
+    flashes: u32,
     switched_at: Option<HostTime>,
 }
 
@@ -39,7 +48,9 @@ impl Startup {
             configured: false,
             reading: false,
             read_at: None,
+            configured_at: None,
             wants_switch: false,
+            flashes: 0,
             switched_at: None,
         }
     }
@@ -54,10 +65,14 @@ impl Startup {
             Event::Configuration(_) => {
                 self.configured = true;
                 self.reading = false;
+                self.configured_at = Some(at);
                 self.wants_switch |= self.variant == Variant::Watchman;
             }
             Event::RawBeams => self.wants_switch = true,
             Event::Sync { .. } => self.wants_switch = false,
+            Event::Pulse { length, .. } if *length >= FLASH_LENGTH => {
+                self.flashes = self.flashes.saturating_add(1);
+            }
             // It may come back with its mode forgotten, or as another device.
             Event::Off => *self = Self::new(self.variant),
             _ => {}
@@ -78,7 +93,11 @@ impl Startup {
                 self.read_at = Some(now);
                 self.begin(commands);
             }
-        } else if self.wants_switch && passed(self.switched_at, SWITCH_INTERVAL_MS) {
+        } else if self.wants_switch
+            && self.flashes < FLASHES_MIN
+            && passed(self.configured_at, LISTEN_MS)
+            && passed(self.switched_at, SWITCH_INTERVAL_MS)
+        {
             self.switched_at = Some(now);
             self.switch(commands);
         }
@@ -164,7 +183,11 @@ mod tests {
         let mut startup = Startup::new(Variant::Watchman);
         assert_eq!(sent(&mut startup, 0).len(), 5);
         startup.event(&Event::Configuration(String::new()), at(10));
-        assert_eq!(sent(&mut startup, 20), [Output::RadioLightStream.command()]);
+        assert!(sent(&mut startup, 20).is_empty(), "there may be flashes");
+        assert_eq!(
+            sent(&mut startup, 600),
+            [Output::RadioLightStream.command()]
+        );
         assert_eq!(
             sent(&mut startup, 3_000),
             [Output::RadioLightStream.command()],
@@ -181,5 +204,21 @@ mod tests {
         assert!(sent(&mut startup, 9_000).is_empty());
         startup.event(&Event::Off, at(9_100));
         assert_eq!(sent(&mut startup, 9_200).len(), 5, "from the start");
+    }
+
+    #[test]
+    fn a_wand_that_sees_flashes_is_left_as_it_is() {
+        let mut startup = Startup::new(Variant::Watchman);
+        sent(&mut startup, 0);
+        startup.event(&Event::Configuration(String::new()), at(10));
+        for ticks in 0..20 {
+            let flash = Event::Pulse {
+                sensor: 1,
+                length: 3_000,
+                ticks,
+            };
+            startup.event(&flash, at(100));
+        }
+        assert!(sent(&mut startup, 9_000).is_empty());
     }
 }

@@ -11,8 +11,7 @@ use std::{
 };
 
 use posed_device::{
-    capture::{self, Item},
-    catalog,
+    capture, catalog,
     lighthouse::{base_station::BaseStation, inspect::Inspector},
     rig::{self, Rig},
     transport::{Event, Merge, Replay, Transport},

@@ -110,12 +110,16 @@ impl Light {
         let turns = beacon
             .synced
             .map_or(1.0, |synced| ((ticks - synced) / turn).round());
-        if turns < 1.0 {
+        if turns == 0.0 {
             return;
+        }
+        if turns < 0.0 {
+            // The device's clock was set back, or its first time was stale.
+            beacon.bits = BitStream::default();
         }
         beacon.synced = Some(ticks);
         let source = Source::Channel(channel);
-        let payload = beacon.bits.push(turns as u64 - 1, data);
+        let payload = beacon.bits.push((turns - 1.0).max(0.0) as u64, data);
         let broadcast = payload.and_then(|bytes| Broadcast::parse(Generation::Two, &bytes));
         if let Some(broadcast) = broadcast {
             seen(Seen::Broadcast(source, broadcast));

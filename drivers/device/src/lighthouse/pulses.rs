@@ -179,13 +179,15 @@ impl Pulses {
         let rhythm = station.flash.is_none_or(|(last, _)| {
             cycles.abs() < CYCLES_MAX && (begin - last - cycles * CYCLE).abs() < FLASH_TOLERANCE
         });
-        if !rhythm {
-            station.bits = BitStream::default();
-        } else if cycles < 1.0 {
+        if rhythm && cycles == 0.0 {
             return;
         }
+        let follows = rhythm && cycles > 0.0;
+        if !follows {
+            station.bits = BitStream::default();
+        }
         station.flash = Some((begin, flags));
-        let missed = if rhythm { cycles as u64 - 1 } else { 0 };
+        let missed = if follows { cycles as u64 - 1 } else { 0 };
         let payload = station.bits.push(missed, flags.data);
         let broadcast = payload.and_then(|bytes| Broadcast::parse(Generation::One, &bytes));
         if let Some(broadcast) = broadcast {

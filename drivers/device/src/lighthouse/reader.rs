@@ -241,7 +241,8 @@ impl Reader {
     fn radio(&mut self, id: u8, data: &[u8], events: &mut Vec<Event>) -> Result<(), DecodeError> {
         let packet = RadioPacket::new(id, data)?;
         events.push(Event::RadioPacket);
-        let version = self.vote(packet.version());
+        let told = packet.version();
+        let version = self.vote(told);
         let settled = self.settle(packet.has_light());
         let sent = self.near(packet.ticks());
         self.now = Some(self.now.map_or(sent, |now| now.max(sent)));
@@ -257,7 +258,7 @@ impl Reader {
         });
         match (version, light) {
             // What looks like light before the protocol is known, or while it changes, may be anything.
-            (Version::V1, Some(bytes)) if self.told && settled => {
+            (Version::V1, Some(bytes)) if self.told && settled && told.is_none() => {
                 self.radio_pulses(id, bytes, events)?;
             }
             (Version::V2, Some(stream)) if settled => self.light(id, stream, events)?,

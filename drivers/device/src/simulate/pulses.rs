@@ -23,6 +23,9 @@ pub(super) struct PulseQueue {
     ready: VecDeque<Pulse>,
 }
 
+/// Sensors that there are in radio packets.
+const SENSORS: u8 = 24;
+
 impl PulseQueue {
     /// More pulses do not wait; what comes then is lost.
     const WAITING_MAX: usize = 128;
@@ -92,8 +95,12 @@ impl PulseQueue {
     }
 }
 
-/// Sensors, then steps between times from the oldest to the newest, then the newest time.
+/// Sensors, then steps between times from the oldest to the newest, then the newest time. `None` for
+/// sensors that radio packets have no place for: their first byte would be an event's.
 fn encode(pulses: &[Pulse]) -> Option<Vec<u8>> {
+    if pulses.iter().any(|pulse| pulse.sensor >= SENSORS) {
+        return None;
+    }
     let ends = |pulse: &Pulse| {
         let begin = pulse.begin.round() as u64;
         (begin + u64::from(pulse.length), begin)

@@ -37,7 +37,12 @@ impl Timings {
             return;
         }
         let before = self.last.replace((pose.sequence, pose.publish_at));
-        let age_ms = pose.publish_at.since_secs(pose.sample_at) as f32 * 1e3;
+        // Before the first measurement there is no age.
+        let age_ms = if pose.sample_at > HostTime(0) {
+            pose.publish_at.since_secs(pose.sample_at) as f32 * 1e3
+        } else {
+            f32::NAN
+        };
         // After a gap there is no interval.
         let interval_ms = before
             .filter(|(sequence, _)| sequence + 1 == pose.sequence)
@@ -144,7 +149,12 @@ mod tests {
                 .iter()
                 .all(|timing| (timing[0] - 4.5).abs() < 1e-3)
         );
-        for sequence in 7..500 {
+        timings.note(&PublishedPose {
+            sample_at: HostTime(0),
+            ..at(7)
+        });
+        assert!(timings.waiting[5][0].is_nan(), "nothing was measured yet");
+        for sequence in 8..500 {
             timings.note(&at(sequence));
         }
         assert_eq!(timings.waiting.len(), TIMINGS_MAX);

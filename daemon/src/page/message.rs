@@ -1,6 +1,6 @@
 //! What goes to the browser: a pose as bytes, everything slower as JSON.
 
-use posed_body::skeleton;
+use posed_body::{optimiser::FootForce, skeleton};
 use posed_signal::{Lookup, Pose, Role};
 use posed_tracker::{Mounts, TrackerKind};
 use serde::Serialize;
@@ -12,27 +12,35 @@ use crate::published::{DeviceState, PublishedPose};
 /// Times of poses that are remembered for a browser between two messages.
 pub(super) const TIMINGS_MAX: usize = 64;
 
+/// A foot with less than this does not stand, N.
+const FORCE_N_MIN: f32 = 5.0;
+
 /// When a pose was published: how old its newest measurement was, and how long after the pose
 /// before, ms.
 pub(super) type Timing = [f32; 2];
 
 /// A pose, little-endian: sequence number (u32), quality, tracker, number of devices and of timings
-/// (u8 each), target time (f64, seconds); 22 joints in the world, each position and quaternion (7
-/// f32); the devices, each role, lookup, tracking and a zero (u8 each), position and quaternion;
-/// the timings, two f32 each. Devices are where the sensors of the body parts are worn.
+/// (u8 each), target time (f64, seconds), number of contacts (u32); 22 joints in the world, each
+/// position and quaternion (7 f32); the devices, each role, lookup, tracking and a zero (u8 each),
+/// position and quaternion; the timings, two f32 each; the contacts of the feet with the ground,
+/// each position and force in newtons (6 f32). Devices are where the sensors of the body parts are
+/// worn.
 pub(super) fn pose(pose: &PublishedPose, mounts: &Mounts, timings: &[Timing]) -> Vec<u8> {
     let devices: Vec<_> = Role::ALL
         .into_iter()
         .filter_map(|role| Some((role, how(&pose.parts[role as usize])?)))
         .collect();
+    let contacts = contacts(pose);
     let timings = &timings[timings.len().saturating_sub(TIMINGS_MAX)..];
-    let mut bytes = Vec::with_capacity(16 + 22 * 28 + devices.len() * 32 + timings.len() * 8);
+    let lists = devices.len() * 32 + timings.len() * 8 + contacts.len() * 24;
+    let mut bytes = Vec::with_capacity(20 + 22 * 28 + lists);
     // The browser only looks whether it grows.
     bytes.extend((pose.sequence as u32).to_le_bytes());
     let counts = [devices.len() as u8, timings.len() as u8];
     bytes.extend([pose.quality as u8, pose.kind as u8]);
     bytes.extend(counts);
     bytes.extend((pose.target_at.0 as f64 * 1e-9).to_le_bytes());
+    bytes.extend((contacts.len() as u32).to_le_bytes());
     let joints = pose.joints.positions.iter().zip(&pose.joints.rotations);
     for (position, rotation) in joints {
         floats(&mut bytes, &position.to_array());
@@ -47,7 +55,18 @@ pub(super) fn pose(pose: &PublishedPose, mounts: &Mounts, timings: &[Timing]) ->
     for timing in timings {
         floats(&mut bytes, timing);
     }
+    for foot in contacts {
+        floats(&mut bytes, &foot.centre.to_array());
+        floats(&mut bytes, &foot.force.to_array());
+    }
     bytes
+}
+
+/// The feet that the ground carries.
+fn contacts(pose: &PublishedPose) -> Vec<FootForce> {
+    let feet = pose.forces.iter().flat_map(|forces| forces.feet);
+    feet.filter(|foot| foot.force.length() > FORCE_N_MIN)
+        .collect()
 }
 
 fn floats(bytes: &mut Vec<u8>, values: &[f32]) {
@@ -167,18 +186,19 @@ mod tests {
         let bytes = pose(&published, &Mounts::index(&wearer), &timings);
         let float = |at: usize| f32::from_le_bytes(bytes[at..at + 4].try_into().unwrap());
         let vector = |at: usize| Vec3::new(float(at), float(at + 4), float(at + 8));
-        assert_eq!(bytes.len(), 16 + 22 * 28 + 3 * 32 + 2 * 8);
+        assert_eq!(bytes.len(), 20 + 22 * 28 + 3 * 32 + 2 * 8 + 2 * 24);
         assert_eq!((&bytes[..4], bytes[4], bytes[5]), (&[7, 0, 0, 0][..], 3, 0));
         assert_eq!(bytes[6..8], [3, 2], "three devices, two timings");
         assert_eq!(f64::from_le_bytes(bytes[8..16].try_into().unwrap()), 2.5);
+        assert_eq!(bytes[16..20], [2, 0, 0, 0], "both feet stand");
         for joint in 0..22 {
-            assert_eq!(vector(16 + joint * 28), published.joints.positions[joint]);
+            assert_eq!(vector(20 + joint * 28), published.joints.positions[joint]);
             assert_eq!(
-                float(16 + joint * 28 + 24),
+                float(20 + joint * 28 + 24),
                 published.joints.rotations[joint].w
             );
         }
-        let devices = 16 + 22 * 28;
+        let devices = 20 + 22 * 28;
         assert_eq!(
             bytes[devices..devices + 4],
             [1, 2, 0, 0],
@@ -196,11 +216,18 @@ mod tests {
         );
         let timing = devices + 3 * 32;
         assert_eq!([float(timing), float(timing + 12)], [4.5, 12.0]);
+        let feet = published.forces.unwrap().feet;
+        let foot = timing + 2 * 8;
+        assert_eq!(
+            (vector(foot), vector(foot + 12)),
+            (feet[0].centre, feet[0].force)
+        );
+        assert_eq!(vector(foot + 24), feet[1].centre);
     }
 
     #[test]
     fn only_the_newest_timings_are_sent() {
-        let published = pose_at(1, HostTime(1));
+        let published = pose_at(2, HostTime(1));
         let timings: Vec<_> = (0..100).map(|index| [index as f32, 0.0]).collect();
         let bytes = pose(&published, &Mounts::IDENTITY, &timings);
         assert_eq!(usize::from(bytes[7]), TIMINGS_MAX);

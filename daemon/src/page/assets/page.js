@@ -72,7 +72,8 @@ function takePose(view) {
   const quaternion = (at) => [...vector(at), float(at + 12)];
   const sequence = view.getUint32(0, true);
   const [quality, tracker, deviceCount, timingCount] = [4, 5, 6, 7].map((at) => view.getUint8(at));
-  let at = 16;
+  const contactCount = view.getUint32(16, true);
+  let at = 20;
   const joints = [];
   for (let joint = 0; joint < JOINTS; joint++, at += 28) {
     joints.push({ position: vector(at), rotation: quaternion(at + 12) });
@@ -89,9 +90,13 @@ function takePose(view) {
     ages.add(time, float(at));
     intervals.add(time, float(at + 4));
   }
+  const contacts = [];
+  for (let contact = 0; contact < contactCount; contact++, at += 24) {
+    contacts.push({ position: vector(at), force: vector(at + 12) });
+  }
   span += pose && sequence > pose.sequence ? sequence - pose.sequence : 1;
   say("");
-  pose = { sequence, quality, tracker, joints, devices, contacts: [] };
+  pose = { sequence, quality, tracker, joints, devices, contacts };
   isNew = true;
 }
 
@@ -136,6 +141,7 @@ function frame(now) {
   const by = hello?.tracker_names[pose.tracker] ?? "";
   set(find("by"), by && `by ${by}`);
   press(find("trackers"), by);
+  if (pose.contacts.length && find("force").hidden) find("force").hidden = false;
   document.body.dataset.sequence = pose.sequence;
   if (socket.readyState === WebSocket.OPEN) socket.send("1");
 }

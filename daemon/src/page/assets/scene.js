@@ -315,19 +315,23 @@ export class Scene {
       gl.DYNAMIC_DRAW);
     gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, solids.triangles.subarray(0, solids.triangleCount),
       gl.DYNAMIC_DRAW);
-    const drawAll = () => {
-      gl.drawElements(gl.TRIANGLES, solids.triangleCount, gl.UNSIGNED_SHORT, 0);
+    const draw = (from, to) => {
+      gl.drawElements(gl.TRIANGLES, to - from, gl.UNSIGNED_SHORT, 2 * from);
     };
     // Shadows first, each point of the floor darkened once.
     gl.uniform1i(solid.at("is_shadow"), 1);
     gl.enable(gl.STENCIL_TEST);
     gl.stencilFunc(gl.EQUAL, 0, 0xff);
     gl.stencilOp(gl.KEEP, gl.KEEP, gl.INCR);
-    drawAll();
+    draw(0, this.bodyEnd);
     gl.disable(gl.STENCIL_TEST);
     gl.enable(gl.DEPTH_TEST);
     gl.uniform1i(solid.at("is_shadow"), 0);
-    drawAll();
+    draw(0, this.bodyEnd);
+    if (solids.triangleCount === this.bodyEnd) return;
+    // Forces run through the legs: they are seen through them.
+    gl.clear(gl.DEPTH_BUFFER_BIT);
+    draw(this.bodyEnd, solids.triangleCount);
   }
 
   // Fills `solids` with everything that there is.
@@ -347,6 +351,9 @@ export class Scene {
     if (pose) {
       this.body(solids, pose);
       for (const device of pose.devices) this.device(solids, device);
+    }
+    this.bodyEnd = solids.triangleCount;
+    if (pose) {
       for (const contact of pose.contacts) this.contact(solids, contact);
     }
   }

@@ -38,11 +38,11 @@ pub(super) const POINTS_MAX: usize = 2 * FOOT_POINTS + SITES.len();
 
 /// A toe joint that moves slower than the first speed can be in contact, one faster than the
 /// second cannot; m/s.
-const SPEEDS: [f64; 2] = [0.4, 1.0];
+const SPEEDS: [f64; 2] = [0.6, 1.4];
 /// A toe joint slower than this shows how high it stands, m/s.
 const STILL: f64 = 0.15;
 /// The same as for speeds for its height above where it is when the foot stands, metres.
-const HEIGHTS: [f64; 2] = [0.02, 0.06];
+const HEIGHTS: [f64; 2] = [0.03, 0.08];
 /// How fast a contact probability may rise, per second: a foot that stops for a moment on its
 /// way is not standing.
 const RISE: f64 = 40.0;

@@ -64,17 +64,11 @@ pub struct Settings {
 
 impl Default for Settings {
     fn default() -> Self {
-        let mut position_shares = [1.0; JOINTS];
-        // Where physics and reference disagree, let the trunk give way rather than the feet.
-        for (ankle, toe) in FEET {
-            position_shares[ankle as usize] = 4.0;
-            position_shares[toe as usize] = 4.0;
-        }
         Self {
             stiffness: 0.45,
             rotation: 1.0,
             position: 1.0,
-            position_shares,
+            position_shares: [1.0; JOINTS],
             residual: 0.01,
             torque: 1e-4,
             friction: 0.6,

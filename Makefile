@@ -10,6 +10,7 @@ PYTHON ?= python3
 help:
 	@echo "make demo   replay the embedded capture, serve it and follow it on the terminal"
 	@echo "make test   run every test"
+	@echo "make outside  the tests with a browser, the example clients and other people's readers alone"
 	@echo "make bench  print latency and stage costs"
 	@echo "make lint   rustfmt, clippy and documentation, warnings denied"
 

@@ -99,7 +99,6 @@ pub(super) fn hello(page: &Page) -> Value {
         "trackers": page.services.control.trackers().iter().map(|kind| kind.name()).collect::<Vec<_>>(),
         "rate_hz": page.rate_hz,
         "stations": stations,
-        "objects": [],
     }})
 }
 

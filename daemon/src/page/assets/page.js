@@ -109,7 +109,6 @@ function takeHello(news) {
   hello = news;
   if (scene) {
     scene.stations = hello.stations;
-    scene.objects = hello.objects;
     scene.isDirty = true;
   }
   listed.clear();

@@ -129,7 +129,6 @@ export class Scene {
     this.target = [0, 0.95, 0];
     this.facing = 0;
     this.stations = [];
-    this.objects = [];
     this.fineness = 1;
     this.interval = 1000 / 60;
     this.patience = 40;
@@ -342,11 +341,6 @@ export class Scene {
       solids.box(position, rotation, [0.035, 0.04, 0.03], this.colours.device);
       const glass = add(position, turn(rotation, [0, 0, -0.026]));
       solids.box(glass, rotation, [0.026, 0.03, 0.008], this.colours.accent);
-    }
-    const stuff = mix(this.colours.floor, this.colours.body, 0.35);
-    for (const { position, rotation, half, radius } of this.objects) {
-      if (radius) solids.ball(position, radius, stuff);
-      else solids.box(position, rotation, half, stuff);
     }
     if (pose) {
       this.body(solids, pose);

@@ -90,10 +90,6 @@ export class Solids {
     }
   }
 
-  ball(centre, radius, colour) {
-    this.capsule(centre, radius, centre, radius, colour);
-  }
-
   // From `tail` to `tip`, as thick as `radius` at its head.
   arrow(tail, tip, radius, colour) {
     const along = subtract(tip, tail);

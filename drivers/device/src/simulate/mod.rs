@@ -3,9 +3,9 @@
 //!
 //! The traffic is that of a Valve Index headset on its cable and Index controllers behind
 //! watchman dongles, under base stations of generation 2; under those of generation 1 the headset
-//! reports pulses as a Vive does, and controllers speak the radio protocol of Vive wands. Sensor geometries, serials and
-//! calibrations are made up; formats, rates, latencies and errors are those of real devices, as
-//! captures show them.
+//! reports pulses as a Vive does, and controllers speak the radio protocol of Vive wands. Sensor
+//! geometries, serials and calibrations are made up; formats, rates, latencies and errors are those
+//! of real devices, as captures show them.
 //!
 //! A [`Simulator`] is an iterator over [`Packet`]s; [`Simulator::truth`] says where its devices
 //! really are, and [`write_libsurvive`] writes the base stations for those who read the packets.

@@ -253,9 +253,10 @@ fn simulated_stations_say_what_they_are() {
             stations: stations.clone(),
             ..Options::default()
         };
+        // In a free corner of the room, looking at its middle, with a station on either side.
         let device = Device::new(Model::Headset, |_: f64| Placement {
-            position: DVec3::new(0.0, 1.6, 0.0),
-            rotation: DQuat::IDENTITY,
+            position: DVec3::new(2.0, 1.6, -2.0),
+            rotation: DQuat::from_rotation_y(135f64.to_radians()),
         });
         let mut inspector = Inspector::new(None);
         for packet in Simulator::new(options, vec![device]).unwrap() {

@@ -102,6 +102,8 @@ impl Radio {
     const DOUBLE: f64 = 0.06;
     const FLAG_IMU: u8 = 0x80;
     const FLAG_LIGHT: u8 = 0x10;
+    /// Bytes of a sample with its flags.
+    const SAMPLE: usize = 14;
     /// An event of version 1 that is a sample.
     const EVENT_IMU: u8 = 0xe8;
 
@@ -139,6 +141,10 @@ impl Radio {
                 None => return,
             };
             if self.old {
+                // Light follows a sample where there is room for it.
+                if payload.len() == Self::SAMPLE && !pulses.is_empty() {
+                    payload.extend(pulses.pack(Self::PAYLOAD_MAX - payload.len()));
+                }
                 self.sending.push_back(((time >> 16) as u16, payload));
                 continue;
             }

@@ -47,7 +47,7 @@ def arrays(clips):
     return {
         "dquat_lo": np.concatenate([low for low, _ in coded], axis=1),
         "dquat_hi": np.concatenate([high for _, high in coded], axis=1),
-        "root": np.concatenate([root for _, root, _ in parts]).T.astype(np.float32),
+        "root": np.concatenate([root for _, root, _ in parts]).T,
         "start": np.concatenate([[0], np.cumsum(lengths)]).astype(np.int32),
         "fps": np.array(int(RATE), np.int64),
         "src_fps": np.full(len(clips), RATE, np.float32),
@@ -68,7 +68,10 @@ def write(clips, path):
     if not clips:
         raise ValueError("nothing to convert: no AMASS (.npz) or BVH (.bvh) file was found")
     partial = Path(path).with_suffix(f".{os.getpid()}.part.npz")
-    np.savez_compressed(partial, **arrays(clips))
+    # posed reads arrays in C order only.
+    ordered = {name: np.ascontiguousarray(array) for name, array in arrays(clips).items()}
+    ordered["fps"] = ordered["fps"].reshape(())
+    np.savez_compressed(partial, **ordered)
     os.replace(partial, path)
 
 

@@ -146,6 +146,9 @@ def test_what_is_converted_reads_back(tmp_path, capsys):
     out = tmp_path / "set.npz"
     assert convert.main([str(out), str(folder), "--split", "val"]) == 1, "one file was left out"
     assert "c.bvh" in capsys.readouterr().err
+    with np.load(out) as data:
+        assert all(not np.isfortran(data[name]) for name in data.files), "posed reads C order"
+        assert data["root"].dtype == np.float32 and data["fps"].shape == ()
     clips = list(load_set(out, {"val"}))
     assert [clip.name for clip in clips] == ["a", "b_poses"]
     for clip, file in zip(clips, ("a.bvh", "b_poses.npz"), strict=True):

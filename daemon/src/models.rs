@@ -3,15 +3,17 @@
 use std::{env, path::PathBuf};
 
 use posed_tracker::{
-    HmdNemo, Pip, Tracker, TrackerKind, hmd_nemo,
+    HmdNemo, Pip, QuestSim, Tracker, TrackerKind, hmd_nemo,
     inference::{InferenceError, Runtime},
-    pip,
+    pip, questsim,
 };
 
 /// HMD-NeMo; its card lies beside it.
 static HMD_NEMO: &[u8] = include_bytes!("../../policy/models/hmd_nemo_small.onnx");
 /// PIP's networks.
 static PIP: &[u8] = include_bytes!("../../policy/models/pip_small.onnx");
+/// QuestSim's policy.
+static QUESTSIM: &[u8] = include_bytes!("../../policy/models/questsim.onnx");
 /// The library's file name, of the version that posed is built against.
 const LIBRARY: &str = "libonnxruntime.so.1.31.1";
 
@@ -42,7 +44,10 @@ impl Models {
                 Some(Box::new(self.hmd_nemo(None, options)?))
             }
             TrackerKind::Pip => Some(Box::new(self.pip(None, pip::Options::default())?)),
-            TrackerKind::Ik | TrackerKind::QuestSim => None,
+            TrackerKind::QuestSim => {
+                Some(Box::new(self.questsim(None, questsim::Options::default())?))
+            }
+            TrackerKind::Ik => None,
         })
     }
 
@@ -58,6 +63,21 @@ impl Models {
     ) -> Result<Pip, InferenceError> {
         let (name, bytes) = model.unwrap_or(("pip_small.onnx", PIP));
         Pip::load(&self.runtime, name, bytes, options)
+    }
+
+    /// QuestSim with these options, and with another model than the built-in one where one is
+    /// given; HMD-NeMo stands in where its character cannot show the wearer.
+    ///
+    /// # Errors
+    /// A model does not fit this program.
+    pub fn questsim(
+        &self,
+        model: Option<(&str, &[u8])>,
+        options: questsim::Options,
+    ) -> Result<QuestSim, InferenceError> {
+        let (name, bytes) = model.unwrap_or(("questsim.onnx", QUESTSIM));
+        let stand_in = Box::new(self.hmd_nemo(None, hmd_nemo::Options::default())?);
+        QuestSim::load(&self.runtime, name, bytes, stand_in, options)
     }
 
     /// HMD-NeMo with these options, and with another model than the built-in one where one is

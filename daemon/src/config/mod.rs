@@ -21,7 +21,7 @@ pub const HEIGHT_M: std::ops::RangeInclusive<f32> = 1.0..=2.5;
 /// Poses a second.
 pub const RATE_HZ: std::ops::RangeInclusive<f64> = 10.0..=1000.0;
 /// How far poses may be made ahead, ms.
-pub const PREDICTION_MS: std::ops::RangeInclusive<f64> = 0.0..=60.0;
+pub const PREDICTION_MS: std::ops::RangeInclusive<f64> = -170.0..=60.0;
 
 /// The configuration, validated.
 #[derive(Debug, Clone, PartialEq, Default, Deserialize)]
@@ -64,7 +64,7 @@ pub struct Tracker {
     pub name: TrackerKind,
     /// Poses a second.
     pub rate_hz: f64,
-    /// How far ahead of the tick poses are made for, ms.
+    /// How far ahead of the tick poses are made for, ms; a negative number: how far behind.
     pub prediction_ms: f64,
     /// Whether physics has the last word.
     pub physics: bool,

@@ -83,7 +83,7 @@ fn errors_say_file_key_value_and_what_is_allowed() {
         ),
         (
             "[tracker]\nprediction_ms = 61\n",
-            &["tracker.prediction_ms = 61", "0.0 to 60.0"],
+            &["tracker.prediction_ms = 61", "-170.0 to 60.0"],
         ),
         (
             "[devices]\nbase_stations = \"x\"\n",

@@ -8,6 +8,8 @@ use posed_signal::{HostTime, time::MILLISECOND_NS};
 
 /// The furthest that a pose may reach beyond the present.
 pub const HORIZON_NS_MAX: i64 = 60 * MILLISECOND_NS as i64;
+/// The furthest that it may lie behind: the six policy steps that QuestSim sees of the future.
+pub const HORIZON_NS_MIN: i64 = -170 * MILLISECOND_NS as i64;
 /// Weight of one tick in the running mean of the inputs' age: about one second at 90 Hz.
 const AGE_WEIGHT: f64 = 1.0 / 90.0;
 
@@ -20,11 +22,12 @@ pub struct LatencyModel {
 }
 
 impl LatencyModel {
-    /// Poses are made for `horizon_ns` after the tick, at most [`HORIZON_NS_MAX`].
+    /// Poses are made for `horizon_ns` after the tick, [`HORIZON_NS_MIN`] to [`HORIZON_NS_MAX`];
+    /// with a negative number for the past.
     #[must_use]
     pub fn new(horizon_ns: i64) -> Self {
         Self {
-            horizon_ns: horizon_ns.clamp(0, HORIZON_NS_MAX),
+            horizon_ns: horizon_ns.clamp(HORIZON_NS_MIN, HORIZON_NS_MAX),
             age_ns: 0.0,
             last_target: HostTime(0),
         }

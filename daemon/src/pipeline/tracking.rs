@@ -251,10 +251,18 @@ impl TrackerLoop {
         };
         let chosen = self
             .trackers
-            .iter_mut()
-            .find(|tracker| tracker.kind() == self.choice);
+            .iter()
+            .position(|tracker| tracker.kind() == self.choice);
+        if let Some(chosen) = chosen {
+            let foresight = self.trackers[chosen].foresight();
+            for (index, &by_ns) in foresight.iter().enumerate() {
+                let at = target.plus_ns(by_ns);
+                let parts = self.parts(at);
+                self.trackers[chosen].foresee(index, at, &parts);
+            }
+        }
         let answer = match chosen {
-            Some(tracker) => tracker.track(&input),
+            Some(index) => self.trackers[index].track(&input),
             None => self.fallback.track(&input),
         };
         if answer.pose.is_sound() {

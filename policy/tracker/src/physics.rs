@@ -6,6 +6,8 @@ use posed_body::{
     scene::Ground,
 };
 
+use posed_signal::{HostTime, Lookup, Pose, Role};
+
 use crate::tracker::{Forces, Input, Tracked, Tracker, TrackerKind, Wearer};
 
 /// Body mass index of the wearer whose mass is not known, kg/m²: 72 kg at 1.75 m.
@@ -58,6 +60,18 @@ impl Tracker for Physical {
         self.last = None;
     }
 
+    fn foresight(&self) -> &'static [i64] {
+        self.inner.foresight()
+    }
+
+    fn foresee(&mut self, index: usize, at: HostTime, parts: &[Lookup<Pose>; Role::COUNT]) {
+        self.inner.foresee(index, at, parts);
+    }
+
+    fn recoveries(&self) -> u64 {
+        self.inner.recoveries()
+    }
+
     fn track(&mut self, input: &Input<'_>) -> Tracked {
         let tracked = self.inner.track(input);
         if self.wearer != *input.wearer {
@@ -83,7 +97,7 @@ impl Tracker for Physical {
 #[cfg(test)]
 mod tests {
     use glam::Vec3;
-    use posed_signal::{HostTime, Lookup, Pose, PoseHow, Role};
+    use posed_signal::PoseHow;
 
     use super::*;
     use crate::Ik;

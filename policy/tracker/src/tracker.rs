@@ -222,6 +222,21 @@ pub trait Tracker: Send {
     /// remembers (PIP) begins its memory with it. Others need not listen.
     fn begin(&mut self, _pose: &BodyPose) {}
 
+    /// Times beyond the target, ns and ascending, that the tracker wants the body parts of where
+    /// they are measured already: where the answer lags behind the devices.
+    fn foresight(&self) -> &'static [i64] {
+        &[]
+    }
+
+    /// The body parts at `at`, the `index`th of [`Tracker::foresight`] after the next target; told
+    /// before each tick.
+    fn foresee(&mut self, _index: usize, _at: HostTime, _parts: &[Lookup<Pose>; Role::COUNT]) {}
+
+    /// How often a simulated body had to be put back on its feet since the start.
+    fn recoveries(&self) -> u64 {
+        0
+    }
+
     /// The body pose at `input.target`. Target times never decrease between resets.
     fn track(&mut self, input: &Input<'_>) -> Tracked;
 

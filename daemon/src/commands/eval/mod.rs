@@ -255,6 +255,7 @@ fn text(report: &Report) -> String {
             width = metric.name().len().max(7)
         );
     }
+    text += &format!(" {:>9} {:>8} {:>7}", "falls/min", "unbroken", "own");
     text.push('\n');
     for row in report.classes.iter().chain([&report.all]) {
         line(row, &mut text);
@@ -271,5 +272,9 @@ fn line(row: &Row, text: &mut String) {
             None => *text += &format!(" {:>width$}", "-"),
         }
     }
+    *text += &format!(
+        " {:>9.2} {:>8.2} {:>7.2}",
+        row.falls_per_minute, row.unbroken, row.own
+    );
     text.push('\n');
 }

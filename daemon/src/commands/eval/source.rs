@@ -3,6 +3,7 @@
 use posed_body::motion::Clip;
 use posed_tracker::{
     Ik, Physical, Tracker, TrackerKind, eval::Options, hmd_nemo, inference::InferenceError, pip,
+    questsim,
 };
 
 use crate::{cli::EvalArgs, commands::CommandError, models::Models};
@@ -74,6 +75,10 @@ impl Source {
         let problem = |error: InferenceError| CommandError::Input(error.to_string());
         let model = self.model.as_ref();
         let model = model.map(|(name, bytes)| (name.as_str(), bytes.as_slice()));
+        if self.kind == TrackerKind::QuestSim {
+            let options = questsim::Options::default();
+            return Ok(Box::new(models.questsim(model, options).map_err(problem)?));
+        }
         if self.kind == TrackerKind::HmdNemo {
             let tracker = models.hmd_nemo(model, self.options).map_err(problem)?;
             return Ok(Box::new(tracker));

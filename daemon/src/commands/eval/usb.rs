@@ -107,6 +107,8 @@ fn result(like: &ClipResult, clip: &Clip, [predicted, truth]: &[Track; 2]) -> Cl
         scores: Scores::measure(predicted, truth, &point_masses(&clip.skeleton)),
         hands_seen: like.hands_seen,
         sure: like.sure,
+        own: like.own,
+        recoveries: like.recoveries,
         dump: None,
     }
 }

@@ -82,8 +82,26 @@ pub fn document(character: &Character, scene: &Scene) -> String {
     write_world(scene, &mut xml);
     xml.push_str("</worldbody>\n");
     write_actuators(character, &mut xml);
+    write_sensors(&mut xml);
     xml.push_str("</mujoco>\n");
     xml
+}
+
+/// What a batch of worlds is read by: the sum of the forces on each foot, in the world. One
+/// world's are [`State::feet`].
+fn write_sensors(xml: &mut String) {
+    xml.push_str("<sensor>\n");
+    for foot in [Link::LeftFoot, Link::RightFoot] {
+        put(
+            xml,
+            format_args!(
+                "<contact name=\"{0}\" body1=\"{0}\" num=\"1\" reduce=\"netforce\" \
+                 data=\"force\"/>\n",
+                foot.name()
+            ),
+        );
+    }
+    xml.push_str("</sensor>\n");
 }
 
 impl Model {

@@ -75,7 +75,7 @@ impl State {
         self.set_pose_and_velocity(pose, &[0.0; ROOT_VELOCITIES + HINGES]);
     }
 
-    /// Puts the character in a pose, moving. Velocities: pelvis linear in the world (m/s),
+    /// Puts the character in a pose, moving, without torques. Velocities: pelvis linear in the world (m/s),
     /// pelvis angular in its own frame, then the hinges (rad/s). A pose that is not finite is
     /// ignored.
     pub fn set_pose_and_velocity(
@@ -97,6 +97,8 @@ impl State {
         qpos[ROOT_COORDINATES..ROOT_COORDINATES + HINGES].copy_from_slice(&pose.angles);
         self.sound.copy_from_slice(qpos);
         self.data.qvel_mut()[..ROOT_VELOCITIES + HINGES].copy_from_slice(velocity);
+        // Torques of the last step would change what the ground does to the feet.
+        self.data.ctrl_mut().fill(0.0);
         self.data.forward();
     }
 

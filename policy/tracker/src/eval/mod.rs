@@ -135,6 +135,10 @@ pub struct ClipResult {
     pub hands_seen: [f64; 2],
     /// Share of frames whose pose the tracker called full or partial.
     pub sure: f64,
+    /// Share of frames that the tracker made itself, without a stand-in.
+    pub own: f64,
+    /// How often a simulated body had to be put back on its feet.
+    pub recoveries: u64,
     /// Both motions, if they were asked for.
     pub dump: Option<Dump>,
 }
@@ -149,10 +153,14 @@ pub fn evaluate(clip: &Clip, tracker: &mut dyn Tracker, options: &Options) -> Cl
     tracker.begin(&trajectory.pose(0.0));
     let frames = (trajectory.duration() * options.rate_hz + 1e-6) as usize + 1;
     let mut predicted = Vec::with_capacity(frames);
-    let mut sure = 0usize;
+    let (mut sure, mut own) = (0usize, 0usize);
     for frame in 0..frames {
         stage.push_until(frame + options.lookahead as usize);
         let target = stage.time(frame);
+        for (index, &by_ns) in tracker.foresight().iter().enumerate() {
+            let at = target.plus_ns(by_ns);
+            tracker.foresee(index, at, &stage.parts(at));
+        }
         let input = Input {
             target,
             parts: &stage.parts(target),
@@ -161,6 +169,7 @@ pub fn evaluate(clip: &Clip, tracker: &mut dyn Tracker, options: &Options) -> Cl
         };
         let tracked = tracker.track(&input);
         sure += usize::from(tracked.quality >= Quality::Partial);
+        own += usize::from(tracked.kind == tracker.kind());
         predicted.push(tracked.pose);
     }
     let hands_seen = stage.hands_seen();
@@ -182,6 +191,8 @@ pub fn evaluate(clip: &Clip, tracker: &mut dyn Tracker, options: &Options) -> Cl
         scores,
         hands_seen,
         sure: sure as f64 / frames as f64,
+        own: own as f64 / frames as f64,
+        recoveries: tracker.recoveries(),
         dump: options.dump.then(|| Dump {
             predicted: predicted_track,
             predicted_poses: predicted.to_vec(),

@@ -18,6 +18,12 @@ pub struct Row {
     pub seconds: f64,
     /// Share of frames in which the left and right hand were shown, mean over clips.
     pub hands_seen: [f64; 2],
+    /// Share of frames that the tracker made itself, over all frames.
+    pub own: f64,
+    /// How often a minute a simulated body had to be put back on its feet.
+    pub falls_per_minute: f64,
+    /// Share of clips in which it never had to be.
+    pub unbroken: f64,
     /// The metrics, mean over clips.
     pub scores: Scores,
 }
@@ -66,10 +72,17 @@ fn row(name: &str, results: &[&ClipResult]) -> Row {
             .sum::<f64>()
             / count
     };
+    let seconds: f64 = results.iter().map(|clip| clip.seconds).sum();
+    let own: f64 = results.iter().map(|clip| clip.own * clip.seconds).sum();
+    let falls: u64 = results.iter().map(|clip| clip.recoveries).sum();
+    let unbroken = results.iter().filter(|clip| clip.recoveries == 0).count();
     Row {
         name: name.to_owned(),
         clips: results.len(),
-        seconds: results.iter().map(|clip| clip.seconds).sum(),
+        seconds,
+        own: own / seconds.max(1e-9),
+        falls_per_minute: falls as f64 * 60.0 / seconds.max(1e-9),
+        unbroken: unbroken as f64 / count,
         hands_seen: [seen(0), seen(1)],
         scores: Scores::mean(results.iter().map(|clip| &clip.scores)),
     }

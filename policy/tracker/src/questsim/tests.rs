@@ -1,0 +1,198 @@
+//! The environment against its golden vectors, and the tracker with a policy that does nothing.
+
+use glam::{DQuat, DVec3, Quat, Vec3};
+use posed_body::{
+    Skeleton,
+    character::{Character, CharacterPose, HINGES},
+    scene::Scene,
+    simulation::document,
+};
+use posed_signal::PoseHow;
+use serde::Deserialize;
+
+use super::{
+    observation::{SIZE, VELOCITIES},
+    *,
+};
+use crate::{Ik, Wearer, inference::shared_runtime, tracker::NO_INERTIAL};
+
+/// Written by `questsim.golden`.
+const GOLDEN: &str = include_str!("../../tests/data/questsim.golden.json");
+/// A policy whose torques are all zero, written by `fixtures/limp_questsim.py`.
+const LIMP: &[u8] = include_bytes!("../../tests/data/questsim_limp.onnx");
+
+#[derive(Deserialize)]
+struct Golden {
+    stature: f64,
+    mjcf: String,
+    cases: Vec<Case>,
+}
+
+#[derive(Deserialize)]
+struct Case {
+    lookahead: usize,
+    hands: bool,
+    qpos: Vec<f64>,
+    qvel: Vec<f64>,
+    positions: Vec<[[f64; 3]; PARTS]>,
+    quats: Vec<[[f64; 4]; PARTS]>,
+    observation: Vec<f64>,
+    action: Vec<f64>,
+    qpos_next: Vec<f64>,
+    qvel_next: Vec<f64>,
+    observation_next: Vec<f64>,
+}
+
+fn golden() -> Golden {
+    serde_json::from_str(GOLDEN).expect("golden vectors")
+}
+
+fn character_pose(qpos: &[f64]) -> CharacterPose {
+    let mut angles = [0.0; HINGES];
+    angles.copy_from_slice(&qpos[7..]);
+    CharacterPose {
+        root: DVec3::from_slice(&qpos[..3]),
+        rotation: DQuat::from_xyzw(qpos[4], qpos[5], qpos[6], qpos[3]),
+        angles,
+    }
+}
+
+#[test]
+fn training_runs_on_this_character() {
+    let golden = golden();
+    let character = Character::of_height(golden.stature).expect("a stature in range");
+    assert!(
+        document(&character, &Scene::default()) == golden.mjcf,
+        "the character has changed: write the golden vectors anew and say so in the model's card"
+    );
+}
+
+#[test]
+fn both_environments_see_and_step_the_same() {
+    let golden = golden();
+    let mut world = World::new(
+        &Skeleton::of_height(golden.stature as f32),
+        &Scene::default(),
+    )
+    .expect("a character");
+    for case in &golden.cases {
+        let start = HostTime(5_000_000_000);
+        let moment = |frame: usize| Moment {
+            at: start.plus_ns((frame as i64 - 1) * STEP_NS),
+            user: std::array::from_fn(|part| Part {
+                position: DVec3::from_array(case.positions[frame][part]),
+                rotation: DQuat::from_array(case.quats[frame][part]),
+            }),
+            hands: case.hands,
+        };
+        let mut timeline = Timeline::EMPTY;
+        timeline.push(moment(0));
+        timeline.push(moment(1));
+        for frame in 0..FUTURE {
+            timeline.foresee(frame, Some(moment(frame + 2)));
+        }
+        let (user, hands) = timeline.future(start, case.lookahead).expect("a user");
+        let mut velocity = [0.0; VELOCITIES];
+        velocity.copy_from_slice(&case.qvel);
+        world.place(&character_pose(&case.qpos), &velocity);
+        let mut seen = [0.0_f32; SIZE];
+        world.observe(&user, hands, &mut seen);
+        assert_same(&seen, &case.observation, 1e-4);
+        let action: [f64; HINGES] = std::array::from_fn(|hinge| case.action[hinge]);
+        assert!(world.apply(&action));
+        let (pose, velocity) = world.moving();
+        let next = character_pose(&case.qpos_next);
+        assert!(pose.root.distance(next.root) < 1e-6);
+        for hinge in 0..HINGES {
+            assert!((pose.angles[hinge] - next.angles[hinge]).abs() < 1e-6);
+        }
+        for (here, there) in velocity.iter().zip(&case.qvel_next) {
+            assert!((here - there).abs() < 1e-4, "{here} {there}");
+        }
+        world.observe(&user, hands, &mut seen);
+        assert_same(&seen, &case.observation_next, 1e-3);
+    }
+}
+
+/// Within `tolerance` of the larger of one and the number.
+fn assert_same(seen: &[f32], golden: &[f64], tolerance: f64) {
+    assert_eq!(seen.len(), golden.len());
+    for (index, (&here, &there)) in seen.iter().zip(golden).enumerate() {
+        let apart = (f64::from(here) - there).abs() / there.abs().max(1.0);
+        assert!(apart < tolerance, "number {index}: {here}, not {there}");
+    }
+}
+
+fn standing(wearer: &Wearer, at: HostTime) -> [Lookup<Pose>; Role::COUNT] {
+    let mut parts = [Lookup::Empty; Role::COUNT];
+    let place = |position| {
+        Lookup::Exact(Pose {
+            position,
+            rotation: Quat::IDENTITY,
+            how: PoseHow::Optical,
+            ..Pose::unknown(at)
+        })
+    };
+    let up = wearer.skeleton.head_height() + 0.02;
+    parts[Role::Head as usize] = place(Vec3::new(0.0, up, 0.0));
+    parts[Role::LeftHand as usize] = place(Vec3::new(-0.25, up - 0.7, -0.1));
+    parts[Role::RightHand as usize] = place(Vec3::new(0.25, up - 0.7, -0.1));
+    parts
+}
+
+#[test]
+fn a_limp_character_falls_and_is_put_back_without_a_jump() {
+    let runtime = shared_runtime();
+    let stand_in = Box::new(Ik::default());
+    let mut tracker =
+        QuestSim::load(&runtime, "limp", LIMP, stand_in, Options::default()).expect("a policy");
+    let wearer = Wearer::of_height(1.75);
+    let mut last: Option<BodyPose> = None;
+    // Ninety ticks a second, off the policy's own grid.
+    for tick in 0..450u64 {
+        let target = HostTime(1_000_000_000 + tick * 11_111_111);
+        let input = Input {
+            target,
+            parts: &standing(&wearer, target),
+            wearer: &wearer,
+            inertial: &NO_INERTIAL,
+        };
+        let pose = tracker.track(&input).pose;
+        assert!(pose.is_sound());
+        if let Some(last) = last {
+            let moved = pose.root.distance(last.root);
+            assert!(moved < 0.12, "tick {tick}: the pelvis moved {moved} m");
+        }
+        last = Some(pose);
+    }
+    let counts = tracker.counts();
+    assert!(counts.falls + counts.drifts >= 2, "{counts:?}");
+    assert_eq!(counts.faults, 0);
+    // Five seconds of policy steps, and a shorter one at most respawns.
+    let most = 182 + tracker.recoveries();
+    assert!((160..=most).contains(&counts.steps), "{counts:?}");
+    assert!(tracker.recoveries() == counts.falls + counts.drifts);
+}
+
+#[test]
+fn without_a_head_the_stand_in_shows() {
+    let runtime = shared_runtime();
+    let stand_in = Box::new(Ik::default());
+    let mut tracker =
+        QuestSim::load(&runtime, "limp", LIMP, stand_in, Options::default()).expect("a policy");
+    let wearer = Wearer::of_height(1.75);
+    for tick in 0..30u64 {
+        let target = HostTime(1_000_000_000 + tick * 11_111_111);
+        let input = Input {
+            target,
+            parts: &[Lookup::Empty; Role::COUNT],
+            wearer: &wearer,
+            inertial: &NO_INERTIAL,
+        };
+        let tracked = tracker.track(&input);
+        assert!(tracked.pose.is_sound());
+        assert_eq!(tracked.kind, TrackerKind::Ik);
+    }
+    assert!(tracker.forces().is_none());
+    assert_eq!(tracker.counts().steps, 0);
+}

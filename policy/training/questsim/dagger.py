@@ -1,0 +1,177 @@
+"""Stage (c): the expert's torques taught to the student (DAgger, Ross et al. 2011).
+
+Each round plays episodes, mostly with the student at the wheel, asks the expert what it would
+have done in every state, and trains on all that was ever answered. A round depends on the weights
+before it and on its number alone: killed and started again, the curve is the same.
+"""
+
+import argparse
+import json
+import os
+import time
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from .expert import Expert
+from .motion import Motion
+from .student import Mlp
+from .worlds import Options, Worlds
+
+LOOKAHEADS = (6, 6, 2, 0)
+NOISE = 0.05
+"""Spread of what is added to the driver's action in half of the worlds."""
+
+
+class Run:
+    """Everything that a checkpoint holds, and how it is carried on."""
+
+    def __init__(self, motion, out, args):
+        self.motion, self.out, self.args = motion, Path(out), args
+        torch.manual_seed(args.seed)
+        self.student = Mlp()
+        if args.start:
+            self.student.load_state_dict(torch.load(args.start, weights_only=True)["student"])
+        self.optimizer = torch.optim.Adam(self.student.parameters(), args.lr)
+        self.round, self.samples, self.seconds = 0, 0, 0.0
+        self.inputs, self.labels = [], []
+
+    def checkpoint(self):
+        return self.out / "state.pt"
+
+    def save(self):
+        """Weights, optimiser and counters; the data lies beside, one file a round."""
+        state = {"student": self.student.state_dict(), "optimizer": self.optimizer.state_dict(),
+                 "round": self.round, "samples": self.samples, "seconds": self.seconds}
+        partial = self.out / "state.part"
+        torch.save(state, partial)
+        os.replace(partial, self.checkpoint())
+
+    def restore(self):
+        if not self.checkpoint().exists():
+            return
+        state = torch.load(self.checkpoint(), weights_only=True)
+        self.student.load_state_dict(state["student"])
+        self.optimizer.load_state_dict(state["optimizer"])
+        self.round, self.samples = state["round"], state["samples"]
+        self.seconds = state["seconds"]
+        for number in range(max(0, self.round - self.args.keep), self.round):
+            with np.load(self.shard(number)) as data:
+                self.remember(data["inputs"], data["labels"])
+
+    def shard(self, number):
+        return self.out / f"round-{number:05}.npz"
+
+    def remember(self, inputs, labels):
+        self.inputs.append(torch.from_numpy(inputs))
+        self.labels.append(torch.from_numpy(labels))
+        del self.inputs[:-self.args.keep], self.labels[:-self.args.keep]
+
+    def play(self):
+        """Episodes of one round: observations (n, 475) and the expert's answers (n, 33)."""
+        args = self.args
+        rng = np.random.default_rng((args.seed, self.round))
+        worlds = Worlds(self.motion, args.worlds, (args.seed, self.round, 1),
+                        Options(lookaheads=LOOKAHEADS, headset_only=0.25))
+        expert = Expert(worlds)
+        # Half of the worlds follow the expert at first, a tenth of them later.
+        share = 0.1 if args.start else max(0.1, args.share ** (self.round + 1))
+        led = rng.random(args.worlds) < share
+        shaken = rng.random(args.worlds) < 0.5
+        inputs, labels, lost_count, steps = [], [], 0, 0
+        rewards = []
+        for _ in range(args.steps):
+            seen = worlds.observe().astype(np.float32)
+            answer = expert.act().astype(np.float32)
+            with torch.no_grad():
+                own = self.student(torch.from_numpy(seen)).numpy()
+            keep = (worlds.lookahead.copy(), worlds.hands.copy())
+            worlds.lookahead = rng.choice(LOOKAHEADS, args.worlds)
+            worlds.hands = rng.random(args.worlds) < 0.75
+            # The same state seen through other devices: a second sample for nothing.
+            inputs += [seen, worlds.observe().astype(np.float32)]
+            labels += [answer, answer]
+            worlds.lookahead, worlds.hands = keep
+            action = np.where(led[:, None], answer, own)
+            action = action + shaken[:, None] * rng.normal(0, NOISE, action.shape)
+            terms, lost, over = worlds.step(action)
+            rewards.append(terms[~led].mean(0) if (~led).any() else terms.mean(0))
+            lost_count += int((lost & ~led).sum())
+            steps += int((~led).sum())
+            again = np.flatnonzero(lost | over)
+            if len(again):
+                worlds.reset(again)
+        figures = {"falls_per_minute": lost_count / max(steps, 1) * 36 * 60,
+                   "terms": np.mean(rewards, 0).round(3).tolist(), "led": float(led.mean())}
+        return np.concatenate(inputs), np.concatenate(labels), figures
+
+    def learn(self):
+        """Mean error of the round's steps."""
+        args = self.args
+        inputs = torch.cat(self.inputs).float()
+        labels = torch.cat(self.labels).float()
+        if self.round < args.settle and not args.start:
+            self.student.normalise_by(inputs)
+        generator = torch.Generator().manual_seed(args.seed * 100_003 + self.round)
+        total = 0.0
+        for _ in range(args.batches):
+            pick = torch.randint(len(inputs), (args.batch,), generator=generator)
+            error = (self.student(inputs[pick]) - labels[pick]).square().mean()
+            self.optimizer.zero_grad(set_to_none=True)
+            error.backward()
+            torch.nn.utils.clip_grad_norm_(self.student.parameters(), 1.0)
+            self.optimizer.step()
+            total += error.item()
+        return total / args.batches
+
+    def go(self):
+        """Rounds until told to stop."""
+        while self.args.rounds is None or self.round < self.args.rounds:
+            began = time.perf_counter()
+            inputs, labels, figures = self.play()
+            inputs, labels = inputs.astype(np.float16), labels.astype(np.float16)
+            np.savez(self.shard(self.round), inputs=inputs, labels=labels)
+            self.remember(inputs, labels)
+            played = time.perf_counter()
+            error = self.learn()
+            self.round += 1
+            self.samples += len(inputs) // 2
+            self.seconds += time.perf_counter() - began
+            line = {"round": self.round, "states": self.samples, "error": error, **figures,
+                    "play_s": played - began, "hours": self.seconds / 3600}
+            self.save()
+            with open(self.out / "curve.jsonl", "a") as file:
+                print(json.dumps(line), file=file)
+            print(json.dumps(line), flush=True)
+
+
+def parser():
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--motion", required=True, help="file of questsim.prepare")
+    parser.add_argument("--out", required=True)
+    parser.add_argument("--start", help="weights to begin with: another run's state.pt")
+    parser.add_argument("--rounds", type=int, help="stop after so many in all")
+    parser.add_argument("--worlds", type=int, default=48)
+    parser.add_argument("--steps", type=int, default=72)
+    parser.add_argument("--batches", type=int, default=60)
+    parser.add_argument("--batch", type=int, default=512)
+    parser.add_argument("--keep", type=int, default=100, help="rounds that are remembered")
+    parser.add_argument("--settle", type=int, default=5, help="rounds that set the normalisation")
+    parser.add_argument("--share", type=float, default=0.8)
+    parser.add_argument("--lr", type=float, default=1e-3)
+    parser.add_argument("--seed", type=int, default=0)
+    return parser
+
+
+def main(argv=None):
+    args = parser().parse_args(argv)
+    torch.set_num_threads(1)
+    Path(args.out).mkdir(parents=True, exist_ok=True)
+    run = Run(Motion.read(args.motion), args.out, args)
+    run.restore()
+    run.go()
+
+
+if __name__ == "__main__":
+    main()

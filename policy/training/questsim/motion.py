@@ -1,0 +1,206 @@
+"""Reference motion on the physics character, from the files that Rust's `references` writes."""
+
+import os
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from .character import (LEFT_FOOT, LINKS, RIGHT_FOOT, Character, forward, quat_to_matrix,
+                        rotate, rotation_log)
+from .observation import RATE
+
+SOLE_DEPTH_QUANTILE = 10
+"""Clips are set on the floor by this percentile of their lowest sole corner."""
+STANDS_HEIGHT, STANDS_SPEED = 0.035, 0.5
+"""A foot of the reference stands while its lowest corner is below and slower than these."""
+GROUND_REACH = 0.06
+"""Sole corners below this can carry weight in the feasibility test, metres."""
+ZMP_SLACK = 0.12
+"""How far outside the support the zero-moment point of a frame may lie, metres."""
+INFEASIBLE_SHARE = 0.15
+"""Clips with a larger share of frames that no contact force explains are dropped."""
+
+
+@dataclass
+class Motion:
+    """Clips, frame after frame at 36 Hz."""
+
+    characters: list
+    mjcf: list
+    """The document of each character."""
+    stature: np.ndarray
+    """(characters,) metres."""
+    start: np.ndarray
+    character: np.ndarray
+    """(clips,) index into `characters`."""
+    names: list
+    qpos: np.ndarray
+    """(frames, 40) as MuJoCo has it."""
+    qvel: np.ndarray
+    """(frames, 39)."""
+    links: np.ndarray
+    """(frames, 16, 3) positions of the links, metres."""
+    speeds: np.ndarray
+    """(frames, 16, 3) their velocities."""
+    stands: np.ndarray
+    """(frames, 2) bool: which feet stand."""
+    foot_rotation: np.ndarray
+    """(frames, 2, 3, 3) of the feet."""
+    foot_spin: np.ndarray
+    """(frames, 2, 3) angular velocities of the feet in the world, rad/s."""
+    parts_p: np.ndarray
+    """(frames, 3, 3) head, left and right wrist."""
+    parts_r: np.ndarray
+    """(frames, 3, 3, 3)."""
+    strain: np.ndarray
+    """(clips,) share of frames that no contact force explains."""
+
+    def __len__(self):
+        return len(self.start) - 1
+
+    def length(self, clip):
+        return self.start[clip + 1] - self.start[clip]
+
+
+    def save(self, path):
+        """Writes everything, atomically."""
+        arrays = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "characters"}
+        partial = Path(path).with_suffix(".part.npz")
+        np.savez(partial, **arrays)
+        os.replace(partial, path)
+
+    @classmethod
+    def read(cls, path):
+        """The inverse of `save`."""
+        with np.load(path, allow_pickle=False) as data:
+            arrays = {key: data[key] for key in data.files}
+        arrays["names"] = [str(name) for name in arrays["names"]]
+        arrays["mjcf"] = [str(text) for text in arrays["mjcf"]]
+        made = [Character.from_mjcf(*pair) for pair in zip(arrays["mjcf"], arrays["stature"])]
+        return cls(characters=made, **arrays)
+
+
+def texts(rows):
+    """Rows of zero-padded bytes as strings."""
+    return [bytes(row).rstrip(b"\0").decode() for row in rows]
+
+
+def velocities(root, rotation, angles):
+    """(frames, 39) in MuJoCo's order by central differences."""
+    count = len(root)
+    before = np.maximum(np.arange(count) - 1, 0)
+    after = np.minimum(np.arange(count) + 1, count - 1)
+    span = ((after - before) / RATE)[:, None]
+    matrix = quat_to_matrix(rotation)
+    turn = rotation_log(np.swapaxes(matrix[before], -1, -2) @ matrix[after])
+    # The turn is in the earlier frame's axes; halfway there it is nearly the same vector.
+    return np.concatenate([
+        (root[after] - root[before]) / span, turn / span, (angles[after] - angles[before]) / span,
+    ], 1)
+
+
+def sole_corners(character, frames):
+    """(n, 2, 4, 3) in the world."""
+    points = character.sole_points
+    feet = [LEFT_FOOT, RIGHT_FOOT]
+    turned = rotate(frames.rotation[:, feet, None], points[None])
+    return frames.position[:, feet, None] + turned
+
+
+def unexplained(character, qpos, qvel, corners):
+    """(frames,) bool: no force of the ground on the soles moves the character like this."""
+    model, data = character.model, mujoco.MjData(character.model)
+    model_flags = model.opt.disableflags
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
+    after = np.minimum(np.arange(len(qpos)) + 1, len(qpos) - 1)
+    before = np.maximum(np.arange(len(qpos)) - 1, 0)
+    qacc = (qvel[after] - qvel[before]) * RATE / np.maximum(after - before, 1)[:, None]
+    weight = 9.81 * mujoco.mj_getTotalmass(model)
+    out = np.zeros(len(qpos), bool)
+    for frame in range(len(qpos)):
+        data.qpos[:], data.qvel[:], data.qacc[:] = qpos[frame], qvel[frame], qacc[frame]
+        mujoco.mj_inverse(model, data)
+        force = data.qfrc_inverse[:3]
+        down = corners[frame].reshape(-1, 3)
+        down = down[down[:, 1] < GROUND_REACH]
+        if force[1] < 0.2 * weight:
+            continue
+        if len(down) == 0:
+            out[frame] = True
+            continue
+        moment = data.xmat[1].reshape(3, 3) @ data.qfrc_inverse[3:6]
+        root = qpos[frame, :3]
+        # Where the ground would have to push: r x f = moment about the pelvis, at height zero.
+        x = root[0] + (moment[2] - root[1] * force[0]) / force[1]
+        z = root[2] + (-moment[0] - root[1] * force[2]) / force[1]
+        low, high = down.min(0) - ZMP_SLACK, down.max(0) + ZMP_SLACK
+        out[frame] = not (low[0] <= x <= high[0] and low[2] <= z <= high[2])
+    model.opt.disableflags = model_flags
+    return out
+
+
+def load(path, wanted=lambda name: True, feasible=True, longest=None):
+    """Reads the clips whose name is wanted; infeasible ones are dropped unless told otherwise."""
+    with np.load(path, allow_pickle=False) as data:
+        arrays = {key: data[key] for key in data.files}
+    names, mjcf = texts(arrays["name"]), texts(arrays["mjcf"])
+    characters, known, kept_mjcf = [], {}, []
+    keep = []
+    for clip, name in enumerate(names):
+        if not wanted(name):
+            continue
+        index = int(arrays["character"][clip])
+        if index not in known:
+            known[index] = len(characters)
+            kept_mjcf.append(mjcf[index])
+            characters.append(Character.from_mjcf(mjcf[index], arrays["stature"][clip]))
+        a, b = arrays["start"][clip], arrays["start"][clip + 1]
+        b = b if longest is None else min(b, a + longest)
+        made = one(characters[known[index]], *(arrays[k][a:b].astype(np.float64)
+                                               for k in ("root", "rotation", "angles", "parts")))
+        if feasible and made["strain"] > INFEASIBLE_SHARE:
+            continue
+        keep.append((name, known[index], made))
+    if not keep:
+        raise ValueError(f"{path}: no clip is left to train on")
+    join = {key: np.concatenate([made[key] for *_, made in keep])
+            for key in keep[0][2] if key != "strain"}
+    lengths = [len(made["qpos"]) for *_, made in keep]
+    return Motion(
+        mjcf=kept_mjcf, stature=np.array([c.stature for c in characters]),
+        characters=characters, start=np.concatenate([[0], np.cumsum(lengths)]).astype(np.int64),
+        character=np.array([c for _, c, _ in keep]), names=[n for n, *_ in keep],
+        strain=np.array([made["strain"] for *_, made in keep]), **join)
+
+
+def one(character, root, rotation, angles, parts):
+    """The arrays of one clip."""
+    root = root.copy()
+    rotation = rotation / np.linalg.norm(rotation, axis=-1, keepdims=True)
+    angles = np.clip(angles, *character.ranges.T)
+    qvel = velocities(root, rotation, angles)
+    qpos = np.concatenate([root, rotation[:, [3, 0, 1, 2]], angles], 1)
+    offsets = np.broadcast_to(character.offsets, (len(root), LINKS, 3))
+    frames = forward(character, offsets, qpos, qvel)
+    corners = sole_corners(character, frames)
+    lift = -np.percentile(corners[..., 1].min((1, 2)), SOLE_DEPTH_QUANTILE)
+    for lifted in (qpos, frames.position.reshape(len(root), -1)):
+        lifted[:, 1] += lift
+    frames.position[:, 1:, 1] += lift
+    corners[..., 1] += lift
+    parts = parts.copy()
+    parts[..., 1] += lift
+    speed = np.linalg.norm(frames.linear[:, [LEFT_FOOT, RIGHT_FOOT]], axis=-1)
+    stands = (corners[..., 1].min(2) < STANDS_HEIGHT) & (speed < STANDS_SPEED)
+    return {
+        "qpos": qpos, "qvel": qvel, "links": frames.position.astype(np.float32),
+        "speeds": frames.linear.astype(np.float32), "stands": stands,
+        "foot_rotation": frames.rotation[:, [LEFT_FOOT, RIGHT_FOOT]].astype(np.float32),
+        "foot_spin": frames.angular[:, [LEFT_FOOT, RIGHT_FOOT]].astype(np.float32),
+        "parts_p": parts[..., :3], "parts_r": quat_to_matrix(parts[..., 3:]),
+        "strain": float(unexplained(character, qpos, qvel, corners).mean()),
+    }
+
+

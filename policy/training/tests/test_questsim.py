@@ -1,0 +1,149 @@
+"""QuestSim's environment and training on its own golden character; no motion capture."""
+
+import json
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import torch
+
+from questsim import dagger, motion, observation, ppo
+from questsim.character import Character, forward, rotation_exp, rotation_log
+from questsim.expert import Expert, cone_least_squares
+from questsim.student import Mlp
+from questsim.worlds import Options, Worlds
+
+GOLDEN = Path(__file__).parents[2] / "tracker/tests/data/questsim.golden.json"
+
+
+@pytest.fixture(scope="module")
+def standing():
+    """One clip of two seconds: the character stands and lowers its arms a little."""
+    golden = json.loads(GOLDEN.read_text())
+    character = Character.from_mjcf(golden["mjcf"], golden["stature"])
+    count = 72
+    root = np.tile(character.model.qpos0[:3], (count, 1))
+    rotation = np.tile([0.0, 0, 0, 1], (count, 1))
+    angles = np.zeros((count, 33))
+    angles[:, [9, 15]] = np.linspace(0, 0.4, count)[:, None]
+    parts = np.zeros((count, 3, 7))
+    parts[..., 6] = 1
+    parts[:, :, :3] = [[0, 1.55, 0], [-0.6, 1.3, 0], [0.6, 1.3, 0]]
+    made = motion.one(character, root, rotation, angles, parts)
+    return motion.Motion(
+        characters=[character], mjcf=[golden["mjcf"]], stature=np.array([golden["stature"]]),
+        start=np.array([0, count]), character=np.array([0]), names=["standing"],
+        strain=np.array([made.pop("strain")]), **made)
+
+
+def test_rotation_vectors_come_back():
+    vectors = np.random.default_rng(1).normal(0, 0.8, (50, 3))
+    assert np.abs(rotation_log(rotation_exp(vectors)) - vectors).max() < 1e-9
+
+
+def test_the_observation_has_its_size_and_does_not_know_the_heading(standing):
+    worlds = Worlds(standing, 4, 0, Options(lookaheads=(6,), headset_only=0.0))
+    seen = worlds.observe()
+    assert seen.shape == (4, observation.SIZE) == (4, 475)
+    turn = rotation_exp(np.array([0, 1.0, 0]))
+    qpos, qvel = worlds.qpos.copy(), worlds.qvel.copy()
+    qpos[:, :3] = qpos[:, :3] @ turn.T + [3.0, 0, -2.0]
+    qvel[:, :3] = qvel[:, :3] @ turn.T
+    w, x, y, z = qpos[:, 3:7].T
+    c, s = np.cos(0.5), np.sin(0.5)
+    qpos[:, 3:7] = np.stack([c * w - s * y, c * x + s * z, c * y + s * w, c * z - s * x], 1)
+    frames = forward(standing.characters[0], worlds.offsets, qpos, qvel)
+    around = np.minimum(worlds.frame[:, None] + np.arange(-1, 7), 71)
+    p = standing.parts_p[around] @ turn.T + [3.0, 0, -2.0]
+    r = turn @ standing.parts_r[around]
+    parts = observation.future_parts(p, r, worlds.lookahead)
+    again = observation.observe(frames, qpos, qvel, worlds.feet @ turn.T, *parts, worlds.hands,
+                                worlds.stature)
+    assert np.abs(again - seen).max() < 1e-6
+
+
+def test_what_is_beyond_the_lookahead_is_not_seen(standing):
+    rng = np.random.default_rng(0)
+    position = rng.normal(size=(1, 8, 3, 3))
+    rotation = rotation_exp(rng.normal(0, 0.1, (1, 8, 3, 3)))
+    for known in (0, 2, 6):
+        seen = observation.future_parts(position, rotation, np.array([known]))
+        other = position.copy()
+        other[:, known + 2:] += 1
+        unseen = observation.future_parts(other, rotation, np.array([known]))
+        assert (seen[0] == unseen[0]).all()
+
+
+def test_contact_forces_stay_in_the_cone_and_carry_the_weight():
+    rng = np.random.default_rng(0)
+    columns = rng.normal(size=(3, 12, 6))
+    true = np.maximum(rng.normal(size=(3, 12)), 0)
+    target = np.einsum("nkm,nk->nm", columns, true)
+    share = cone_least_squares(columns, target)
+    assert (share >= 0).all()
+    assert np.abs(np.einsum("nkm,nk->nm", columns, share) - target).max() < 0.1
+
+
+def test_the_expert_stands_without_help(standing):
+    worlds = Worlds(standing, 2, 0, Options(random_start=False, steps_max=10**6))
+    expert = Expert(worlds)
+    for _ in range(60):
+        terms, lost, _ = worlds.step(expert.act())
+        assert not lost.any()
+    assert terms[:, 2].min() > 0.9, terms
+    assert not worlds.options.assist
+
+
+def arguments(**changes):
+    args = dagger.parser().parse_args(["--motion", "m", "--out", "o"])
+    args.worlds, args.steps, args.batches, args.batch = 3, 4, 3, 16
+    return SimpleNamespace(**(vars(args) | changes))
+
+
+def weights(run):
+    return torch.cat([p.detach().flatten() for p in run.student.parameters()])
+
+
+def test_a_killed_run_goes_on_with_the_same_curve(standing, tmp_path):
+    whole, parts = tmp_path / "whole", tmp_path / "parts"
+    whole.mkdir(), parts.mkdir()
+    straight = dagger.Run(standing, whole, arguments(rounds=3))
+    straight.go()
+    for rounds in (1, 3):
+        run = dagger.Run(standing, parts, arguments(rounds=rounds))
+        run.restore()
+        run.go()
+    assert torch.equal(weights(run), weights(straight))
+    curve = [[json.loads(line)["error"] for line in open(folder / "curve.jsonl")]
+             for folder in (whole, parts)]
+    assert curve[0] == curve[1]
+
+
+def test_ppo_goes_on_too(standing, tmp_path):
+    torch.save({"student": Mlp().state_dict()}, tmp_path / "start.pt")
+    made = []
+    for name, stops in (("whole", (2,)), ("parts", (1, 2))):
+        (tmp_path / name).mkdir()
+        for stop in stops:
+            run = ppo.Run(standing, tmp_path / name, SimpleNamespace(
+                start=tmp_path / "start.pt", iterations=stop, worlds=3, steps=4, lr=1e-4,
+                critic_first=0, seed=0))
+            run.restore()
+            run.go()
+        made.append(torch.cat([p.detach().flatten() for p in run.actor.parameters()]))
+    assert torch.equal(*made)
+
+
+def test_advantages_stop_at_an_end():
+    rewards, values = np.ones((3, 1)), np.zeros((3, 1))
+    ended = np.array([[0.0], [1.0], [0.0]])
+    gain = ppo.advantages(rewards, values, ended, np.array([10.0]))
+    assert gain[1, 0] == 1.0
+    assert gain[2, 0] == pytest.approx(1 + 0.97 * 10)
+
+
+def test_motion_comes_back_from_its_file(standing, tmp_path):
+    standing.save(tmp_path / "m.npz")
+    again = motion.Motion.read(tmp_path / "m.npz")
+    assert again.names == ["standing"] and (again.qpos == standing.qpos).all()

@@ -73,8 +73,7 @@ physics steps. `policy/training/questsim/observation.py` has the order of the in
 - File: `questsim.onnx`, sha256 `{sha256}`; {parameters} parameters.
 - Licence of the weights: CC BY-NC 4.0 (bandai in the training data): non-commercial use.
 - Training: {history}. What was tried and what came of it: `policy/training/questsim/README.md`.
-- Data: `train` splits of bandai (Bandai-Namco-Research-Motiondataset, CC BY-NC 4.0), reactidle
-  (Enekoassets/ReActIdle, MIT): gestures and standing.
+- Data: gestures of the `train` split of bandai (Bandai-Namco-Research-Motiondataset, CC BY-NC 4.0).
 - Last line of the curve: `{last}`
 """
 

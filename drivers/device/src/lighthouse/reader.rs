@@ -258,7 +258,9 @@ impl Reader {
         });
         match (version, light) {
             // What looks like light before the protocol is known, or while it changes, may be anything.
-            (Version::V1, Some(bytes)) if self.told && settled && told.is_none() => {
+            (Version::V1, Some(bytes))
+                if self.told && self.votes == 0 && settled && told.is_none() =>
+            {
                 self.radio_pulses(id, bytes, events)?;
             }
             (Version::V2, Some(stream)) if settled => self.light(id, stream, events)?,
@@ -299,8 +301,11 @@ impl Reader {
 
     /// Which protocol is spoken: the packets themselves tell.
     fn vote(&mut self, seen: Option<Version>) -> Version {
-        let current = *self.version.get_or_insert(seen.unwrap_or(Version::V1));
-        self.told |= seen.is_some();
+        if seen.is_some() && !self.told {
+            // The first that tells is believed against the guess.
+            (self.version, self.told) = (seen, true);
+        }
+        let current = *self.version.get_or_insert(Version::V1);
         match seen {
             Some(seen) if seen != current => {
                 self.votes += 1;

@@ -40,10 +40,13 @@ pub struct Comparison {
     pub unaligned_median_degrees: f64,
 }
 
+/// A pose that libsurvive solved for: time, position in metres, rotation, in posed's axes.
+type SolvedPose = (HostTime, DVec3, DQuat);
+
 /// libsurvive's poses in a recording.
 pub struct Reference {
-    /// By serial number.
-    devices: BTreeMap<String, (&'static str, Vec<(HostTime, DVec3, DQuat)>)>,
+    /// By serial number: which of the recording's lines, and the poses in them.
+    devices: BTreeMap<String, (&'static str, Vec<SolvedPose>)>,
 }
 
 impl Reference {

@@ -18,6 +18,8 @@ use crate::{
 const UNIT: usize = 0;
 /// The timer counts so many steps a second; a sample is one step.
 const TIMER_HZ: f64 = 200.0;
+/// In a report, one tick apart where reports come as they should.
+const SAMPLES: u64 = 3;
 /// Battery is told this often.
 const TOLD_NS: i64 = 500_000_000;
 /// A stick's middle and its reach, counts: no device is calibrated better than this unseen.
@@ -147,7 +149,7 @@ impl Default for Device {
             flash: Flash::default(),
             calibration: Calibration::default(),
             timer: Timer::default(),
-            clock: ClockMap::new(TIMER_HZ),
+            clock: ClockMap::new(TIMER_HZ * SAMPLES as f64),
             fusion: Fusion::new(1.0 / TIMER_HZ),
             start: Start::default(),
             heard: false,
@@ -225,13 +227,22 @@ impl Device {
     /// The three samples of a report, oldest first; the timer stands for the newest. Without a
     /// gyroscope, which packed rotations take the place of, there is no inertial sample.
     fn inertial(&mut self, at: HostTime, timer: u8, samples: &[RawImu; 3], out: &mut dyn Emit) {
+        let before = self.timer.last.map_or(0, |(ticks, _)| ticks);
         let ticks = self.timer.extend(timer, at);
+        // Thirds of a tick: a report that follows sooner than its samples' 15 ms holds them closer
+        // together, so that none is older than the last of the report before.
+        let apart = (ticks - before).min(SAMPLES);
+        let ticks = ticks * SAMPLES;
         self.clock.observe(ticks, at);
         if self.mode.mode() != ImuMode::Raw {
             return;
         }
         for (age, raw) in [2, 1, 0].into_iter().zip(samples) {
-            let Some(at) = self.clock.stamp(ticks - age).filter(|_| !raw.is_empty()) else {
+            let Some(at) = self
+                .clock
+                .stamp(ticks - age * apart)
+                .filter(|_| !raw.is_empty())
+            else {
                 continue;
             };
             let imu = Imu {

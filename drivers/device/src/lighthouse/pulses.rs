@@ -61,7 +61,7 @@ impl Flash {
         // A sensor that sees a little less light begins later and ends earlier.
         if length > self.longest.saturating_add(NEAR_LONGEST) {
             self.begins = (ticks, 1.0);
-        } else if length + NEAR_LONGEST >= self.longest {
+        } else if length.saturating_add(NEAR_LONGEST) >= self.longest {
             self.begins.0 += ticks + 0.5 * off;
             self.begins.1 += 1.0;
         }

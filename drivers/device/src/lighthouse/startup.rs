@@ -95,7 +95,7 @@ impl Startup {
             }
         } else if self.wants_switch
             && self.flashes < FLASHES_MIN
-            && passed(self.configured_at, LISTEN_MS)
+            && (self.variant != Variant::Watchman || passed(self.configured_at, LISTEN_MS))
             && passed(self.switched_at, SWITCH_INTERVAL_MS)
         {
             self.switched_at = Some(now);

@@ -60,25 +60,23 @@ fn base_stations_say_what_libsurvive_noted() {
     let Some(captures) = captures("base_stations_say_what_libsurvive_noted") else {
         return;
     };
-    for (capture, file, count) in [
-        ("vive-index-cal.pcap.gz", "vive-index-cal.json", 2),
-        (
-            "index-hmd-and-two-knuckles.pcap.gz",
-            "index-hmd-and-two-knuckles.json",
-            2,
-        ),
-        ("tracker-cal-attempt.pcap.gz", "tracker-cal-attempt.json", 4),
-        ("vive_cal.pcap.gz", "vive_cal.json", 2),
+    for (name, count, seconds) in [
+        ("vive-index-cal", 2, 20.0),
+        ("index-hmd-and-two-knuckles", 2, 20.0),
+        // One of the four is seen in too few of its turns for a whole frame in 20 s.
+        ("tracker-cal-attempt", 4, 27.0),
+        ("vive_cal", 2, 20.0),
     ] {
-        let heard = heard(&captures.join(capture));
-        let text = std::fs::read_to_string(captures.join(file)).unwrap();
+        let capture = format!("{name}.pcap.gz");
+        let heard = heard(&captures.join(&capture));
+        let text = std::fs::read_to_string(captures.join(format!("{name}.json"))).unwrap();
         let stations = parse_libsurvive(&text).unwrap();
         assert_eq!(stations.len(), count, "{capture}");
         for station in &stations {
             let (at, broadcast) = heard.get(&station.id).unwrap_or_else(|| {
                 panic!("{capture}: {:08x} was not heard: {heard:?}", station.id)
             });
-            assert!(*at < 20.0, "{capture}: {at} s");
+            assert!(*at < seconds, "{capture}: {at} s");
             assert!(
                 same(broadcast, station),
                 "{capture}: {broadcast:?} {station:?}"

@@ -25,6 +25,8 @@ pub enum Command {
     Run(RunArgs),
     /// Track from captured USB traffic, exactly as live.
     Replay(ReplayArgs),
+    /// Tell posed where the floor is and which way is ahead: with the headset, in two steps.
+    Setup(SetupArgs),
     /// Say what a capture holds, device by device.
     Inspect(InspectArgs),
     /// Track every device of many captures, and print how well: one table.
@@ -75,7 +77,7 @@ pub struct BodyArgs {
     /// The wearer's height in metres.
     #[arg(long, value_name = "METRES", value_parser = parse_height)]
     pub height: Option<f32>,
-    /// Where the base stations stand, in libsurvive's JSON.
+    /// Where the base stations stand, in libsurvive's JSON; without it posed finds out by itself.
     #[arg(long, value_name = "FILE")]
     pub base_stations: Option<PathBuf>,
     /// Poses a second.
@@ -134,6 +136,20 @@ pub struct ReplayArgs {
     /// Print the summary as JSON.
     #[arg(long)]
     pub json: bool,
+}
+
+/// Arguments of `posed setup`.
+#[derive(Debug, Args)]
+pub struct SetupArgs {
+    /// Captures of a set-up, to be done again; the devices on this PC where this is left out.
+    #[arg(value_name = "FILE")]
+    pub files: Vec<PathBuf>,
+    /// The body.
+    #[command(flatten)]
+    pub body: BodyArgs,
+    /// Where to keep the room; the state directory where this is left out.
+    #[arg(long, value_name = "FILE")]
+    pub out: Option<PathBuf>,
 }
 
 /// Arguments of `posed inspect`.

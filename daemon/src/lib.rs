@@ -14,5 +14,6 @@ pub mod output;
 pub mod page;
 pub mod pipeline;
 pub mod published;
+pub mod room;
 pub mod serving;
 pub mod simulated;

@@ -35,6 +35,7 @@ fn run(command: &Command) -> Result<(), CommandError> {
     match command {
         Command::Run(args) => commands::run::run(args),
         Command::Replay(args) => commands::replay::run(args),
+        Command::Setup(args) => commands::setup::run(args),
         Command::Inspect(args) => commands::inspect::run(args),
         Command::Survey(args) => commands::survey::run(args),
         Command::Record(args) => match &args.live {

@@ -13,6 +13,7 @@ pub mod record;
 pub mod replay;
 pub mod run;
 mod settings;
+pub mod setup;
 pub mod simulate;
 mod summary;
 pub mod survey;
@@ -49,6 +50,9 @@ pub enum CommandError {
     /// About an address.
     #[error(transparent)]
     Address(#[from] crate::config::NotLoopback),
+    /// About the room that is kept.
+    #[error(transparent)]
+    Room(#[from] crate::room::RoomError),
     /// About the content of an input.
     #[error("{0}")]
     Input(String),

@@ -10,12 +10,13 @@ use posed_signal::Clock as _;
 
 use super::{CommandError, live, settings};
 use crate::{
-    assemble::{Assembly, assemble},
+    assemble::{Assembly, Options, assemble},
     cli::RunArgs,
     clock::Monotonic,
     notify::Notifier,
     page::Station,
     pipeline::live::{Shared, spawn_source, spawn_tracker},
+    room::{self, Keeper},
     serving::Listing,
 };
 
@@ -33,6 +34,7 @@ pub fn run(args: &RunArgs) -> Result<(), CommandError> {
     let options = settings::options(&config)?;
     let stations = &options.rig.devices.lighthouse.base_stations;
     let stations = stations.iter().map(Station::from).collect();
+    let mut keeper = keeper(&options);
     let (transport, stop) = live::transport()?;
     let trackers = options.choices();
     let Assembly {
@@ -70,6 +72,12 @@ pub fn run(args: &RunArgs) -> Result<(), CommandError> {
     while !stop.load(Ordering::Relaxed) && !tracker.is_finished() {
         thread::sleep(LOOK);
         notifier.ticks(shared.ticks.load(Ordering::Acquire), Monotonic.now());
+        if let Some(Err(error)) = keeper.as_mut().map(|keeper| keeper.look(Monotonic.now())) {
+            tracing::warn!("the room cannot be kept: {error}");
+        }
+    }
+    if let Some(Err(error)) = keeper.as_mut().map(Keeper::keep) {
+        tracing::warn!("the room cannot be kept: {error}");
     }
     notifier.stopping();
     shared.stop.store(true, Ordering::Relaxed);
@@ -84,6 +92,20 @@ pub fn run(args: &RunArgs) -> Result<(), CommandError> {
             "a thread of the tracker failed; this is a bug".into(),
         ))
     }
+}
+
+/// Takes the kept room over, and keeps it from now on; `None` where base stations are given.
+fn keeper(options: &Options) -> Option<Keeper> {
+    let lighthouse = &options.rig.devices.lighthouse;
+    if !lighthouse.base_stations.is_empty() {
+        return None;
+    }
+    let Some(path) = room::path() else {
+        tracing::warn!("neither XDG_STATE_HOME nor HOME is set: the room will not be kept");
+        return None;
+    };
+    settings::take_kept_room(&lighthouse.room, &path);
+    Some(Keeper::new(lighthouse.room.clone(), path))
 }
 
 fn wait_for_first_tick(shared: &Shared) -> Result<(), CommandError> {

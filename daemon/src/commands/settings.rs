@@ -6,7 +6,11 @@ use std::{
     sync::Arc,
 };
 
-use posed_device::{catalog, lighthouse, rig};
+use posed_device::{
+    catalog,
+    lighthouse::{self, room},
+    rig,
+};
 use posed_signal::{Serial, ring::Producer};
 use posed_tracker::{Ik, Physical, Tracker, TrackerKind, Wearer};
 
@@ -59,21 +63,20 @@ pub(super) fn recordings(config: &Config) -> Option<PathBuf> {
 pub fn options(config: &Config) -> Result<Options, CommandError> {
     let base_stations = match &config.devices.base_stations {
         Some(path) => base_stations(path)?,
-        None => {
-            tracing::warn!(
-                "no base stations are known, so that headset and controllers get no position: \
-                 name their file by --base-stations or devices.base_stations"
-            );
-            Vec::new()
-        }
+        None => Vec::new(),
     };
+    let room = room::Handle::default();
+    room.with(|room| room.set_stature(f64::from(config.wearer.height_m)));
     let roles = config
         .devices
         .roles
         .iter()
         .map(|(serial, role)| (Serial::new(serial), *role));
     let devices = catalog::Settings {
-        lighthouse: lighthouse::Settings { base_stations },
+        lighthouse: lighthouse::Settings {
+            base_stations,
+            room,
+        },
     };
     Ok(Options {
         trackers: with_physics(trackers(config.tracker.name), config),
@@ -86,6 +89,18 @@ pub fn options(config: &Config) -> Result<Options, CommandError> {
         height: config.wearer.height_m,
         horizon_ns: (config.tracker.prediction_ms * 1e6) as i64,
     })
+}
+
+/// Takes the room over that was kept at the last start. One that cannot be used is no reason not
+/// to start: it is measured anew.
+pub(super) fn take_kept_room(handle: &room::Handle, path: &Path) {
+    match crate::room::load(path) {
+        Ok(Some(stored)) => handle.with(|room| room.adopt(&stored)),
+        Ok(None) => {
+            tracing::info!("base stations are not known yet: they are found by their light")
+        }
+        Err(error) => tracing::warn!("{error}"),
+    }
 }
 
 /// The base stations in a file.

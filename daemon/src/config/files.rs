@@ -40,13 +40,18 @@ pub fn runtime_dir() -> Option<PathBuf> {
     Some(absolute("XDG_RUNTIME_DIR")?.join("posed"))
 }
 
-/// Where recordings are written by default: `posed/recordings` under `XDG_STATE_HOME` or
+/// The directory for what is kept between starts: `posed` under `XDG_STATE_HOME` or
 /// `~/.local/state`; `None` where neither is set.
 #[must_use]
-pub fn recordings_dir() -> Option<PathBuf> {
+pub fn state_dir() -> Option<PathBuf> {
     let home = || Some(absolute("HOME")?.join(".local/state"));
-    let state = absolute("XDG_STATE_HOME").or_else(home)?;
-    Some(state.join("posed/recordings"))
+    Some(absolute("XDG_STATE_HOME").or_else(home)?.join("posed"))
+}
+
+/// Where recordings are written by default: `recordings` in the state directory.
+#[must_use]
+pub fn recordings_dir() -> Option<PathBuf> {
+    Some(state_dir()?.join("recordings"))
 }
 
 /// The gRPC socket of a posed that runs with the default configuration.

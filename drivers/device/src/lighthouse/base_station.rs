@@ -36,6 +36,17 @@ impl Source {
         }
     }
 
+    /// The source of a number that [`Source::index`] gives.
+    #[must_use]
+    pub fn from_index(index: usize) -> Option<Self> {
+        match u8::try_from(index) {
+            Ok(channel @ 0..16) => Some(Self::Channel(channel)),
+            Ok(16) => Some(Self::Slot(0)),
+            Ok(17) => Some(Self::Slot(1)),
+            _ => None,
+        }
+    }
+
     /// A number of its own below [`Source::COUNT`].
     #[must_use]
     pub fn index(self) -> usize {

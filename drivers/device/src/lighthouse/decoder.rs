@@ -1,17 +1,16 @@
 //! The decoders behind [`super::decoder()`]: packets in, samples in host time out.
 
-use posed_signal::{ClockMap, HostTime, Imu, Pose, PoseHow, Sample};
+use posed_signal::{ClockMap, HostTime, Imu, Pose, PoseHow, Role, Sample};
 
 use super::{
     Settings, Variant,
-    base_station::{BaseStation, Source},
     input::{self, InputState, WiredInput},
     light::{Light, Seen},
     model::{DeviceModel, ImuRange},
     motion::ImuSample,
-    ootx::Broadcast,
     output::Output,
     reader::{Event, Reader},
+    room::{Handle, Room, Upright},
     solve::Sighting,
     startup::Startup,
     track::Track,
@@ -28,6 +27,8 @@ const UNIT: usize = 0;
 const POSE_INTERVAL: f64 = 0.0018;
 /// While a device is lost its last pose is repeated no faster than this, s.
 const LOST_INTERVAL: f64 = 0.02;
+/// The room is told what a device sees this often, s.
+const SNAPSHOT_INTERVAL: f64 = 0.25;
 /// A step of the device's clock that the host's did not see is a restart, s.
 const CLOCK_STEP: f64 = 0.25;
 
@@ -40,8 +41,6 @@ pub(super) struct Device {
     range: ImuRange,
     clock: ClockMap,
     light: Light,
-    /// What base stations said about themselves, by [`Source::index`].
-    broadcasts: [Option<Broadcast>; Source::COUNT],
     unit: Option<Unit>,
     /// Device and host time of the newest inertial sample, s.
     newest: Option<(f64, HostTime)>,
@@ -53,6 +52,11 @@ pub(super) struct Device {
 struct Unit {
     track: Track,
     input: InputState,
+    /// The room as the track knows it: its revision and its world.
+    room: (u64, u64),
+    /// No snapshot before this device time, s.
+    snapshot_after: f64,
+    upright: Upright,
 }
 
 impl Device {
@@ -61,11 +65,10 @@ impl Device {
             reader: Reader::default(),
             events: Vec::new(),
             startup: Startup::new(variant),
-            settings: settings.clone(),
+            settings: settings.shared(),
             range: variant.range(),
             clock: ClockMap::new(TICKS_PER_SECOND),
             light: Light::default(),
-            broadcasts: [None; Source::COUNT],
             unit: None,
             newest: None,
             posed: f64::NEG_INFINITY,
@@ -124,8 +127,17 @@ impl Device {
         self.range = model.range;
         out.identity(UNIT, model.identity);
         let input = InputState::new(model.controls);
-        let track = Track::new(model, self.settings.base_stations.clone());
-        self.unit = Some(Unit { track, input });
+        let (stations, room) = self
+            .settings
+            .room
+            .with(|room| (room.placed(), (room.revision(), room.world())));
+        self.unit = Some(Unit {
+            track: Track::new(model, stations),
+            input,
+            room,
+            snapshot_after: f64::NEG_INFINITY,
+            upright: Upright::default(),
+        });
         Ok(())
     }
 
@@ -147,7 +159,9 @@ impl Device {
         };
         let calibration = &unit.track.model().imu;
         let sample = ImuSample::new(time, raw, self.range, calibration);
+        unit.follow(&self.settings.room);
         unit.track.imu(sample);
+        unit.survey(time, &self.settings.room);
         let (gyro, accel) = unit.track.unbiased(&sample);
         out.sample(
             UNIT,
@@ -184,25 +198,25 @@ impl Device {
     fn light(&mut self, event: &Event) {
         let Self {
             light,
-            broadcasts,
             settings,
             unit,
             ..
         } = self;
         light.event(event, &mut |seen| match seen {
             Seen::Sweep(sweep) => {
-                let station = station_of(&settings.base_stations, broadcasts, sweep.source);
-                if let (Some(unit), Some(station)) = (unit.as_mut(), station) {
+                if let Some(unit) = unit.as_mut() {
                     unit.track.sighting(Sighting {
                         time: sweep.ticks / TICKS_PER_SECOND,
-                        station,
+                        station: sweep.source.index() as u8,
                         plane: sweep.plane,
                         sensor: sweep.sensor,
                         angle: sweep.angle,
                     });
                 }
             }
-            Seen::Broadcast(source, broadcast) => broadcasts[source.index()] = Some(broadcast),
+            Seen::Broadcast(source, broadcast) => {
+                settings.room.with(|room| room.heard(source, &broadcast));
+            }
         });
     }
 
@@ -225,18 +239,56 @@ impl Device {
     }
 }
 
-/// Which of the base stations light of a source comes from: the one that its broadcast names, or
-/// while nothing was heard of it the one that is set to be told by it.
-fn station_of(
-    stations: &[BaseStation],
-    broadcasts: &[Option<Broadcast>; Source::COUNT],
-    source: Source,
-) -> Option<u8> {
-    let heard = broadcasts[source.index()];
-    let named = heard.and_then(|heard| stations.iter().position(|station| station.id == heard.id));
-    named
-        .or_else(|| stations.iter().position(|station| station.source == source))
-        .and_then(|index| u8::try_from(index).ok())
+impl Unit {
+    /// Takes over what became known about the room.
+    fn follow(&mut self, room: &Handle) {
+        room.with(|room| {
+            if self.room == (room.revision(), room.world()) {
+                return;
+            }
+            if self.room.1 != room.world() {
+                let by = room.carried().filter(|_| self.room.1 + 1 == room.world());
+                self.track.carry(by.as_ref());
+                self.upright = Upright::default();
+            }
+            self.track.set_stations(room.placed());
+            self.room = (room.revision(), room.world());
+        });
+    }
+
+    /// Tells the room what the device sees of it.
+    fn survey(&mut self, time: f64, room: &Handle) {
+        if time < self.snapshot_after && time > self.snapshot_after - 2.0 * SNAPSHOT_INTERVAL {
+            return;
+        }
+        self.snapshot_after = time + SNAPSHOT_INTERVAL;
+        room.with(|room| {
+            if room.is_curious() {
+                self.tell(time, room);
+            }
+        });
+    }
+
+    fn tell(&mut self, time: f64, room: &mut Room) {
+        if let Some(source) = self.track.take_suspect() {
+            room.disagrees(source);
+        }
+        if let Some(snapshot) = self.track.snapshot() {
+            if self.track.is_astray(time) {
+                room.contradicts(&snapshot);
+            }
+            room.offer(snapshot);
+        }
+        let head = self.track.model().identity.natural_role == Role::Head;
+        if let Some((frame, rate)) = self
+            .track
+            .head_now()
+            .filter(|_| head && room.wants_upright())
+            && let Some(eyes) = self.upright.watch(time, &frame, rate)
+        {
+            room.upright(eyes);
+        }
+    }
 }
 
 impl Decoder for Device {

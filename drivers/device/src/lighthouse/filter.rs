@@ -10,11 +10,11 @@ use glam::{DMat3, DQuat, DVec3};
 use nalgebra::{SMatrix, SVector};
 
 use super::{
-    base_station::BaseStation,
-    model::{DeviceModel, GRAVITY},
+    model::{DeviceModel, Frame, GRAVITY},
     motion::ImuSample,
     planes::Planes,
-    solve::{Sighting, Solution},
+    room::Placed,
+    solve::{Sighting, Solution, station_of},
 };
 
 const N: usize = 17;
@@ -230,7 +230,7 @@ impl Filter {
     /// Takes a sweep, which may lie a few milliseconds off the state's time.
     pub(super) fn sweep(
         &mut self,
-        stations: &[BaseStation],
+        stations: &Placed,
         model: &DeviceModel,
         seen: &Sighting,
     ) -> Verdict {
@@ -239,8 +239,7 @@ impl Filter {
             .get(usize::from(seen.sensor))
             .copied()
             .flatten();
-        let (Some(station), Some(sensor)) = (stations.get(usize::from(seen.station)), sensor)
-        else {
+        let (Some(station), Some(sensor)) = (station_of(stations, seen), sensor) else {
             return Verdict::Ignored;
         };
         let Nominal {
@@ -299,6 +298,27 @@ impl Filter {
         self.imu = self.imu.less(accel, gyro);
         self.tilt[0] += change[TILT];
         self.tilt[1] += change[TILT + 1];
+    }
+
+    /// A station whose light keeps disagreeing with the others', by its number.
+    pub(super) fn outlier(&self) -> Option<usize> {
+        self.planes.outlier(self.time)
+    }
+
+    /// Goes along when the whole world is moved by a turn about the vertical and then a shift.
+    pub(super) fn carry(&mut self, by: &Frame) {
+        let Nominal {
+            position,
+            velocity,
+            rotation,
+        } = self.nominal;
+        self.nominal = Nominal {
+            position: by.position + by.rotation * position,
+            velocity: by.rotation * velocity,
+            rotation: (by.rotation * rotation).normalize(),
+        };
+        let tilt = by.rotation * DVec3::new(self.tilt[0], 0.0, self.tilt[1]);
+        self.tilt = [tilt.x, tilt.z];
     }
 
     /// Whether every number is finite and the covariance still is one.

@@ -40,6 +40,7 @@ pub fn fuzz_entry(data: &[u8]) -> Report {
         Variant::Watchman,
         &Settings {
             base_stations: stations(),
+            ..Settings::default()
         },
     );
     let mut sink = Sink;

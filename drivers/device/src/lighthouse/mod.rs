@@ -24,6 +24,7 @@ mod radio;
 mod radio_pulses;
 pub mod reader;
 pub mod reproject;
+pub mod room;
 pub mod rotor;
 mod solve;
 mod startup;
@@ -69,8 +70,18 @@ impl Variant {
 /// What Lighthouse decoders are told when they are made.
 #[derive(Debug, Clone, Default)]
 pub struct Settings {
-    /// Base stations, where they are known. Without any there are no poses.
+    /// Base stations whose places are given; where there are none, the room finds its own.
     pub base_stations: Vec<BaseStation>,
+    /// The room that all devices share.
+    pub room: room::Handle,
+}
+
+impl Settings {
+    /// A copy that shares the room, in which given base stations stand.
+    fn shared(&self) -> Self {
+        self.room.with(|room| room.give(&self.base_stations));
+        self.clone()
+    }
 }
 
 /// Makes the decoder of a device. Its poses are those of the device's head frame (a headset's is

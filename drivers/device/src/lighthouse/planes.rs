@@ -5,14 +5,20 @@
 //! disagreeing while the others agree: it then weighs less. When all disagree, the pose is wrong
 //! and no plane is to blame.
 
+use super::base_station::Source;
+
 /// Base stations that are told apart.
-const STATIONS: usize = 16;
+const STATIONS: usize = Source::COUNT;
 /// Weight of a sweep in the running figures: half a second of a headset's sweeps.
 const RUNNING: f64 = 1.0 / 256.0;
 /// A single deviation counts no more than this, rad.
 const DEVIATION_MAX: f64 = 0.03;
 /// A plane counts for comparison while its last sweep is no older than this, s.
 const ACTIVE: f64 = 1.0;
+/// Planes of stations that stand where they are taken to agree like this, rad; those of a station
+/// that was moved by some centimetres disagree like this.
+const AGREES: f64 = 1.5e-3;
+const DISAGREES: f64 = 6e-3;
 /// Deviations up to this times the others' are ordinary.
 const ORDINARY: f64 = 2.0;
 
@@ -66,6 +72,23 @@ impl Planes {
         entry.seen = time;
         let excess = entry.square / (ORDINARY * ORDINARY * reference);
         self.ordinary * excess.max(1.0)
+    }
+
+    /// A station both of whose planes keep disagreeing, while others agree among each other.
+    pub(super) fn outlier(&self, time: f64) -> Option<usize> {
+        let active = |plane: &Plane| time - plane.seen < ACTIVE;
+        let agrees = |pair: &[Plane; 2]| {
+            pair.iter()
+                .all(|plane| active(plane) && plane.square < AGREES * AGREES)
+        };
+        if !self.planes.iter().any(agrees) {
+            return None;
+        }
+        let disagrees = |pair: &[Plane; 2]| {
+            pair.iter()
+                .all(|plane| active(plane) && plane.square > DISAGREES * DISAGREES)
+        };
+        self.planes.iter().position(disagrees)
     }
 
     /// What ordinary planes deviate by now: the second best of those that are seen.

@@ -9,6 +9,7 @@ use super::{
     base_station::BaseStation,
     model::{DeviceModel, GRAVITY},
     motion::{RelativeMotion, Step},
+    room::Placed,
 };
 
 /// One sweep as a measurement.
@@ -16,7 +17,7 @@ use super::{
 pub(super) struct Sighting {
     /// Device time, s.
     pub(super) time: f64,
-    /// Index of the base station.
+    /// Which base station's it is, as [`Source::index`](super::base_station::Source::index).
     pub(super) station: u8,
     /// Light plane, 0 or 1.
     pub(super) plane: u8,
@@ -24,6 +25,11 @@ pub(super) struct Sighting {
     pub(super) sensor: u8,
     /// Reading, rad.
     pub(super) angle: f64,
+}
+
+/// The station that a sighting is of, if it has a place.
+pub(super) fn station_of<'a>(stations: &'a Placed, seen: &Sighting) -> Option<&'a BaseStation> {
+    stations.get(usize::from(seen.station))?.as_ref()
 }
 
 /// A solved pose of the IMU's frame at the end of the window.
@@ -66,7 +72,7 @@ const UP_SIGMA: (f64, f64) = (0.05, 3.0);
 
 /// What is solved: base stations, sensors, sweeps and the motion among them.
 pub(super) struct Problem<'a> {
-    pub(super) stations: &'a [BaseStation],
+    pub(super) stations: &'a Placed,
     pub(super) model: &'a DeviceModel,
     sightings: Vec<(Sighting, Step)>,
     /// Mean specific force at the reference time's orientation, m/s^2.
@@ -86,13 +92,14 @@ type Normal = (SMatrix<f64, 9, 9>, SVector<f64, 9>, f64);
 impl<'a> Problem<'a> {
     /// `force`: the mean of the specific force over the window, turned to the end's orientation.
     pub(super) fn new(
-        stations: &'a [BaseStation],
+        stations: &'a Placed,
         model: &'a DeviceModel,
         sightings: impl Iterator<Item = Sighting>,
         motion: &RelativeMotion,
         force: DVec3,
     ) -> Self {
         let sightings = sightings
+            .filter(|seen| station_of(stations, seen).is_some())
             .filter_map(|seen| Some((seen, motion.at(seen.time)?)))
             .collect();
         Self {
@@ -101,6 +108,15 @@ impl<'a> Problem<'a> {
             sightings,
             force,
         }
+    }
+
+    /// Whether there is so much light that a device should be found.
+    pub(super) fn is_enough(&self) -> bool {
+        let sensors = self
+            .sightings
+            .iter()
+            .fold(0u32, |set, (seen, _)| set | 1 << (seen.sensor & 31));
+        self.sightings.len() >= 3 * SIGHTINGS_MIN && sensors.count_ones() >= 2 * SENSORS_MIN
     }
 
     /// Solves. A rotation that may be right can be offered, but need not be there. `None` where
@@ -163,10 +179,9 @@ impl<'a> Problem<'a> {
                     && other.plane != first.plane
             });
             let Some((second, _)) = partner else { continue };
-            let (Some(station), Some(sensor)) = (
-                self.stations.get(usize::from(first.station)),
-                self.sensor(first),
-            ) else {
+            let (Some(station), Some(sensor)) =
+                (station_of(self.stations, first), self.sensor(first))
+            else {
                 continue;
             };
             let mut angles = [0.0; 2];
@@ -210,7 +225,7 @@ impl<'a> Problem<'a> {
         let (mut facing, mut all) = (0, 0);
         for (seen, step) in &self.sightings {
             let (Some(station), Some(Some(sensor))) = (
-                self.stations.get(usize::from(seen.station)),
+                station_of(self.stations, seen),
                 self.model.sensors.get(usize::from(seen.sensor)),
             ) else {
                 continue;
@@ -315,7 +330,7 @@ impl<'a> Problem<'a> {
     /// velocity and rotation.
     fn residual(&self, at: &Candidate, entry: &(Sighting, Step)) -> Option<(f64, SVector<f64, 9>)> {
         let (seen, step) = entry;
-        let station = self.stations.get(usize::from(seen.station))?;
+        let station = station_of(self.stations, seen)?;
         let sensor = self.sensor(seen)?;
         let arm = step.shift + step.turn * sensor;
         let fall = DVec3::new(0.0, -0.5 * GRAVITY * step.tau * step.tau, 0.0);
@@ -413,7 +428,7 @@ mod tests {
         DeviceModel::from_json(&text.to_string()).unwrap()
     }
 
-    fn stations() -> Vec<BaseStation> {
+    fn stations() -> Placed {
         let station = |channel: u8, x: f64, z: f64| {
             let position = DVec3::new(x, 2.2, z);
             let away = (position - DVec3::Y).normalize();
@@ -432,7 +447,10 @@ mod tests {
                 calibration: [wobble; 2],
             }
         };
-        vec![station(1, 2.0, 2.0), station(2, -2.0, -1.5)]
+        let mut stations = [None; Source::COUNT];
+        stations[0] = Some(station(1, 2.0, 2.0));
+        stations[1] = Some(station(2, -2.0, -1.5));
+        stations
     }
 
     struct Truth {
@@ -443,7 +461,7 @@ mod tests {
     }
 
     /// 60 ms of light and IMU of a ball that turns and flies, one sighting in ten a reflection.
-    fn problem(truth: &Truth, model: &DeviceModel, stations: &[BaseStation]) -> Option<Solution> {
+    fn problem(truth: &Truth, model: &DeviceModel, stations: &Placed) -> Option<Solution> {
         let accel = |turn: DQuat| (truth.rotation * turn).conjugate() * (GRAVITY * DVec3::Y);
         let samples: Vec<_> = (-60..=0)
             .map(|ms| {
@@ -466,11 +484,12 @@ mod tests {
             let sensor_at = model.sensors[sensor].unwrap();
             let rotation = truth.rotation * turn;
             let point = truth.position + truth.velocity * time + rotation * sensor_at.position;
-            if (rotation * sensor_at.normal).dot(stations[station].position - point) < 0.0 {
+            let from = stations[station].unwrap();
+            if (rotation * sensor_at.normal).dot(from.position - point) < 0.0 {
                 continue;
             }
-            let local = stations[station].to_local(point);
-            let clean = reproject(&stations[station].calibration[plane], plane, local);
+            let local = from.to_local(point);
+            let clean = reproject(&from.calibration[plane], plane, local);
             // One in ten is a reflection, anywhere.
             let random = (n as u32).wrapping_mul(2_654_435_761) >> 8;
             let angle = if random % 10 == 7 {

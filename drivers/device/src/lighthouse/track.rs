@@ -5,16 +5,20 @@
 //! filter therefore stands at the newest light; poses are foretold from there to the newest
 //! inertial sample, which leaves nothing to wait for.
 
-use std::collections::VecDeque;
+use std::{collections::VecDeque, sync::Arc};
 
 use glam::{DQuat, DVec3};
 use posed_signal::PoseHow;
 
 use super::{
-    base_station::BaseStation,
+    base_station::Source,
     filter::{Filter, Nominal, Verdict},
-    model::DeviceModel,
+    model::{DeviceModel, Frame, GRAVITY},
     motion::{ImuSample, RelativeMotion},
+    room::{
+        Placed,
+        snapshot::{Glimpse, Snapshot},
+    },
     solve::{Problem, Sighting},
 };
 
@@ -44,6 +48,14 @@ const IMU_GAP: f64 = 0.08;
 const FITTING: f64 = 0.35;
 /// Weight of a sweep in the running figures.
 const RUNNING: f64 = 0.01;
+/// A device is held still while it turns and is pushed by no more than this, rad/s and m/s^2, and
+/// moves by no more than this, m/s.
+const STILL: (f64, f64) = (0.2, 0.4);
+const SLOW: f64 = 0.3;
+/// After so long without being found in plenty of light, base stations are doubted, s; and one that
+/// disagrees with the others for so long has moved, s.
+const ASTRAY: f64 = 1.5;
+const SUSPECT: f64 = 1.5;
 
 /// A pose of the head frame.
 #[derive(Debug, Clone, Copy)]
@@ -67,8 +79,8 @@ struct Tracking {
 
 /// The track of one device.
 pub(super) struct Track {
-    model: DeviceModel,
-    stations: Vec<BaseStation>,
+    model: Arc<DeviceModel>,
+    stations: Placed,
     samples: VecDeque<ImuSample>,
     /// Sweeps of the last [`WINDOW`], for solving.
     sightings: VecDeque<Sighting>,
@@ -77,18 +89,24 @@ pub(super) struct Track {
     tracking: Option<Tracking>,
     /// No search before this time.
     search_after: f64,
+    /// Since when searches fail though there is light of placed stations.
+    astray: Option<f64>,
+    /// A station that disagrees with the others, and since when.
+    suspect: Option<(usize, f64)>,
 }
 
 impl Track {
-    pub(super) fn new(model: DeviceModel, stations: Vec<BaseStation>) -> Self {
+    pub(super) fn new(model: DeviceModel, stations: Placed) -> Self {
         Self {
-            model,
+            model: Arc::new(model),
             stations,
             samples: VecDeque::with_capacity(SAMPLES_MAX),
             sightings: VecDeque::with_capacity(SIGHTINGS_MAX),
             waiting: VecDeque::with_capacity(SIGHTINGS_MAX),
             tracking: None,
             search_after: f64::NEG_INFINITY,
+            astray: None,
+            suspect: None,
         }
     }
 
@@ -104,6 +122,136 @@ impl Track {
         };
         let turn = self.model.head.rotation.conjugate();
         (turn * sample.gyro, turn * sample.accel)
+    }
+
+    /// Base stations have got, changed or lost their places.
+    pub(super) fn set_stations(&mut self, stations: Placed) {
+        self.stations = stations;
+        self.suspect = None;
+    }
+
+    /// The world was moved as a whole; `None`: it is another one.
+    pub(super) fn carry(&mut self, by: Option<&Frame>) {
+        match (by, &mut self.tracking) {
+            (Some(by), Some(tracking)) => tracking.filter.carry(by),
+            _ => {
+                self.tracking = None;
+                self.search_after = f64::NEG_INFINITY;
+            }
+        }
+        self.astray = None;
+    }
+
+    /// The IMU's frame in the world at the newest light, while the device is tracked.
+    fn optical(&self) -> Option<(&Filter, f64)> {
+        let tracking = self.tracking.as_ref()?;
+        let newest = self.samples.back()?.time;
+        let sound = newest - tracking.light < OPTICAL && tracking.fitting > FITTING;
+        sound.then_some((&tracking.filter, tracking.light))
+    }
+
+    /// Where the head frame is and how fast it turns (rad/s), while the device is tracked.
+    pub(super) fn head_now(&self) -> Option<(Frame, f64)> {
+        let (filter, _) = self.optical()?;
+        let Nominal {
+            position, rotation, ..
+        } = filter.nominal;
+        let head = Frame {
+            position: position + rotation * self.model.head.position,
+            rotation: rotation * self.model.head.rotation,
+        };
+        Some((head, filter.unbiased(self.samples.back()?).gyro.length()))
+    }
+
+    /// What the device sees, if it has been held still for a moment.
+    pub(super) fn snapshot(&self) -> Option<Snapshot> {
+        let newest = self
+            .sightings
+            .iter()
+            .map(|seen| seen.time)
+            .reduce(f64::max)?;
+        let begin = newest - WINDOW;
+        let first = self.samples.partition_point(|sample| sample.time < begin);
+        let end = self.samples.partition_point(|sample| sample.time <= newest);
+        let tracked = self.optical();
+        let unbiased = |sample: &ImuSample| match tracked {
+            Some((filter, _)) => filter.unbiased(sample),
+            None => *sample,
+        };
+        let samples: Vec<ImuSample> = self
+            .samples
+            .range(first.min(end)..end)
+            .map(unbiased)
+            .collect();
+        let last = samples.last()?;
+        let still = |sample: &ImuSample| {
+            !sample.clipped
+                && sample.gyro.length() < STILL.0
+                && (sample.accel.length() - GRAVITY).abs() < STILL.1
+        };
+        if last.time - samples[0].time < 0.7 * WINDOW || !samples.iter().all(still) {
+            return None;
+        }
+        let motion = RelativeMotion::backwards(samples.iter(), begin);
+        let force = mean_force(&samples, &motion, begin);
+        // Without acceleration, what falls is held by the force.
+        let drift = match tracked {
+            Some((filter, _)) => filter.nominal.rotation.conjugate() * filter.nominal.velocity,
+            None => DVec3::ZERO,
+        };
+        if drift.length() > SLOW {
+            return None;
+        }
+        let glimpse = |seen: &Sighting| {
+            let sensor = self
+                .model
+                .sensors
+                .get(usize::from(seen.sensor))
+                .copied()??;
+            let step = motion.at(seen.time)?;
+            let shift = step.shift - 0.5 * step.tau * step.tau * force + step.tau * drift;
+            Some(Glimpse {
+                source: Source::from_index(usize::from(seen.station))?,
+                plane: seen.plane,
+                sensor: seen.sensor,
+                angle: seen.angle,
+                arm: shift + step.turn * sensor.position,
+            })
+        };
+        let recent = self.sightings.iter().filter(|seen| seen.time >= begin);
+        // The filter's pose is that of a few milliseconds earlier or later: the device is still.
+        let pose = tracked.map(|(filter, _)| Frame {
+            position: filter.nominal.position + (last.time - filter.time) * filter.nominal.velocity,
+            rotation: filter.nominal.rotation,
+        });
+        Some(Snapshot {
+            model: Arc::clone(&self.model),
+            up: force.try_normalize()?,
+            pose,
+            glimpses: recent.filter_map(glimpse).collect(),
+        })
+    }
+
+    /// Whether the device has not been found for long in the light of stations that have places.
+    pub(super) fn is_astray(&self, now: f64) -> bool {
+        self.astray.is_some_and(|since| now - since > ASTRAY)
+    }
+
+    /// A station that has kept disagreeing with the others.
+    pub(super) fn take_suspect(&mut self) -> Option<Source> {
+        let now = self.samples.back()?.time;
+        let outlier = self.optical().and_then(|(filter, _)| filter.outlier());
+        let (Some(outlier), Some((suspect, since))) = (outlier, self.suspect) else {
+            self.suspect = outlier.map(|outlier| (outlier, now));
+            return None;
+        };
+        if suspect != outlier {
+            self.suspect = Some((outlier, now));
+        } else if now - since > SUSPECT {
+            self.suspect = None;
+            return Source::from_index(outlier);
+        }
+        None
     }
 
     /// Forgets the device's whereabouts.
@@ -293,17 +441,19 @@ impl Track {
             return;
         }
         self.search_after = now + SEARCH_INTERVAL;
-        self.solve(newest);
+        if self.solve(newest) {
+            self.astray = None;
+        }
     }
 
-    fn solve(&mut self, newest: f64) {
+    fn solve(&mut self, newest: f64) -> bool {
         let end = self.samples.partition_point(|sample| sample.time <= newest);
         let Some(imu) = end
             .checked_sub(1)
             .and_then(|last| self.samples.get(last))
             .copied()
         else {
-            return;
+            return false;
         };
         let biases = self
             .tracking
@@ -329,7 +479,10 @@ impl Track {
             .as_ref()
             .map(|tracking| tracking.filter.nominal.rotation);
         let Some(solution) = problem.solve(guess) else {
-            return;
+            if problem.is_enough() {
+                self.astray.get_or_insert(newest);
+            }
+            return false;
         };
         let filter = match self.tracking.take() {
             Some(mut tracking) => {
@@ -345,6 +498,7 @@ impl Track {
             square,
             fitting: 1.0,
         });
+        true
     }
 }
 

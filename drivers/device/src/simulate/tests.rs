@@ -276,6 +276,7 @@ fn tracking_errors(role: Role) -> [Vec<f64>; 2] {
     let (start, stations) = (simulator.options.start, simulator.stations().to_vec());
     let lighthouse = lighthouse::Settings {
         base_stations: stations,
+        ..lighthouse::Settings::default()
     };
     let (mut rig, mut rings) = Rig::new(rig::Settings {
         devices: catalog::Settings { lighthouse },

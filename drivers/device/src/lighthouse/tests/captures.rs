@@ -72,7 +72,10 @@ fn inspected(path: &Path) -> BTreeMap<String, Report> {
 /// Every device of a capture, tracked; time counts from the capture's first packet.
 pub(super) fn tracked(path: &Path, stations: &Path) -> (f64, Vec<Tracked>) {
     let base_stations = parse_libsurvive(&fs::read_to_string(stations).unwrap()).unwrap();
-    let settings = Settings { base_stations };
+    let settings = Settings {
+        base_stations,
+        ..Settings::default()
+    };
     let mut devices = BTreeMap::<Port, (Box<dyn Decoder>, Tracked)>::new();
     let packets = packets(path);
     for packet in &packets {

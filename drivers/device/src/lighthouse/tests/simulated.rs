@@ -11,6 +11,7 @@ use super::{
         base_station::{BaseStation, Source},
         decoder,
         inspect::Inspector,
+        room::Handle,
     },
     Tracked, quantile,
 };
@@ -90,6 +91,7 @@ fn walk_under(
     let simulator = Simulator::new(options, devices).unwrap();
     let settings = Settings {
         base_stations: simulator.stations().to_vec(),
+        ..Settings::default()
     };
     let mut found = BTreeMap::<Port, (Box<dyn Decoder>, Tracked)>::new();
     for packet in simulator.filter(|packet| pass(packet.at.since_secs(start), packet)) {
@@ -275,4 +277,68 @@ fn simulated_stations_say_what_they_are() {
             }
         }
     }
+}
+
+/// Somebody who walks and looks about, and stops every two seconds.
+fn halting(path: impl Path) -> impl Path {
+    move |seconds: f64| path.at(seconds - (TAU * 0.5 * seconds).sin() / (TAU * 0.5))
+}
+
+/// What the light alone tells: the room and every device's poses.
+fn found(options: Options, pass: impl Fn(f64, &Packet) -> bool) -> (Handle, Vec<Tracked>) {
+    let start = options.start;
+    let devices = vec![
+        Device::new(Model::Headset, halting(head)),
+        Device::new(Model::LeftController, halting(hand(-1.0))),
+    ];
+    let settings = Settings::default();
+    let mut found = BTreeMap::<Port, (Box<dyn Decoder>, Tracked)>::new();
+    let simulator = Simulator::new(options, devices).unwrap();
+    for packet in simulator.filter(|packet| pass(packet.at.since_secs(start), packet)) {
+        let fresh = || (decoder(Variant::Watchman, &settings), Tracked::default());
+        let (decoder, tracked) = found.entry(packet.port).or_insert_with(fresh);
+        decoder.packet(&packet, tracked).unwrap();
+    }
+    let tracked = found.into_values().map(|(_, tracked)| tracked).collect();
+    (settings.room, tracked)
+}
+
+/// The first station in the second one's frame.
+fn relative(stations: &[BaseStation]) -> (DVec3, DQuat) {
+    let [first, second] = stations else {
+        panic!("two stations, not {}", stations.len())
+    };
+    let back = second.rotation.conjugate();
+    (
+        back * (first.position - second.position),
+        back * first.rotation,
+    )
+}
+
+#[test]
+fn base_stations_are_found_by_their_light() {
+    let options = Options {
+        duration_s: 12.0,
+        ..Options::default()
+    };
+    let (start, stations) = (options.start, options.stations.clone());
+    let (room, tracked) = found(options, |_, _| true);
+    let found: Vec<BaseStation> = room.with(|room| room.stations().copied().collect());
+    let ((place, turn), (truth, true_turn)) = (relative(&found), relative(&stations));
+    assert!((place - truth).length() < 0.02, "{place} {truth}");
+    assert!(turn.angle_between(true_turn) < 0.5f64.to_radians());
+    for (found, truth) in found.iter().zip(&stations) {
+        assert_eq!((found.id, found.calibration), (truth.id, truth.calibration));
+        let up = |station: &BaseStation| station.rotation.conjugate() * DVec3::Y;
+        assert!(
+            up(found).angle_between(up(truth)) < 0.5f64.to_radians(),
+            "level"
+        );
+    }
+    // The headset is tracked from its first still moment on, long before the stations have said
+    // what shape their light has, and does not jump when they do.
+    let poses = &tracked[0].poses;
+    assert!(poses[0].at.since_secs(start) < 1.0);
+    let optical = poses.iter().filter(|pose| pose.how == PoseHow::Optical);
+    assert!(optical.count() as f64 > 0.95 * poses.len() as f64);
 }

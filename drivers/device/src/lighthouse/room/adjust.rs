@@ -1,0 +1,185 @@
+//! The places of all base stations and the poses of all snapshots at once: bundle adjustment
+//! (Triggs et al. 2000), with every snapshot's own unknowns eliminated first (Schur complement).
+//!
+//! Snapshots say what is up, so that the world stays level; its heading and origin are free, and
+//! are brought back to where they were by the caller.
+
+use nalgebra::{DMatrix, DVector, SMatrix, SVector};
+
+use super::snapshot::{Residual, Snapshot, lean, moved, robust};
+use crate::lighthouse::{
+    base_station::{BaseStation, Source},
+    model::Frame,
+};
+use glam::DVec3;
+
+/// Residuals beyond this weigh less and less, rad; it narrows on the way.
+const SOFT: [f64; 3] = [2e-2, 4e-3, 1e-3];
+const ROUNDS: usize = 12;
+/// Standard deviation of a reading, rad: noise, and what calibration leaves.
+const SIGMA: f64 = 3e-4;
+/// Standard deviation of what a still device's accelerometer says of up, rad.
+const UP_SIGMA: f64 = 0.01;
+/// Readings that deviate by more than this are not counted in the result, rad.
+const FIT: f64 = 4e-3;
+
+/// A base station with its source, and a snapshot with its pose: what is adjusted.
+#[derive(Debug, Clone)]
+pub(super) struct Bundle {
+    pub(super) stations: Vec<(Source, BaseStation)>,
+    pub(super) snapshots: Vec<(Snapshot, Frame)>,
+}
+
+struct Normal {
+    stations: DMatrix<f64>,
+    right: DVector<f64>,
+    /// For every snapshot: its own block, its coupling with the stations, its right side.
+    own: Vec<(SMatrix<f64, 6, 6>, DMatrix<f64>, SVector<f64, 6>)>,
+    cost: f64,
+}
+
+impl Bundle {
+    /// Adjusts; answers the root mean square of those residuals that fit, rad, and their share.
+    pub(super) fn adjust(&mut self) -> (f64, f64) {
+        for soft in SOFT {
+            self.minimise(soft);
+        }
+        let (mut square, mut fitting, mut all) = (0.0, 0.0, 0.0);
+        self.each(&mut |_, _, residual| {
+            all += 1.0;
+            if residual.value.abs() < FIT {
+                square += residual.value * residual.value;
+                fitting += 1.0;
+            }
+        });
+        (
+            (square / f64::max(fitting, 1.0)).sqrt(),
+            fitting / f64::max(all, 1.0),
+        )
+    }
+
+    /// Every reading of a station that is there: indices of snapshot and station, and the residual.
+    fn each(&self, take: &mut dyn FnMut(usize, usize, &Residual)) {
+        let mut index_of = [None; Source::COUNT];
+        for (index, (source, _)) in self.stations.iter().enumerate() {
+            index_of[source.index()] = Some(index);
+        }
+        for (at, (snapshot, frame)) in self.snapshots.iter().enumerate() {
+            for seen in &snapshot.glimpses {
+                if let Some(index) = index_of[seen.source.index()] {
+                    take(
+                        at,
+                        index,
+                        &Residual::new(seen, &self.stations[index].1, frame),
+                    );
+                }
+            }
+        }
+    }
+
+    fn minimise(&mut self, soft: f64) {
+        let mut normal = self.normal(soft);
+        let mut damping = 1e-4;
+        for _ in 0..ROUNDS {
+            let Some(next) = self.step(&normal, damping) else {
+                return;
+            };
+            let next_normal = next.normal(soft);
+            if next_normal.cost < normal.cost {
+                let done = normal.cost - next_normal.cost < 1e-6 * normal.cost;
+                (*self, normal) = (next, next_normal);
+                damping = (damping * 0.2f64).max(1e-9);
+                if done {
+                    return;
+                }
+            } else {
+                damping *= 10.0;
+                if damping > 1e4 {
+                    return;
+                }
+            }
+        }
+    }
+
+    fn normal(&self, soft: f64) -> Normal {
+        let size = 6 * self.stations.len();
+        let fresh = || {
+            let own = SMatrix::<f64, 6, 6>::zeros();
+            (
+                own,
+                DMatrix::<f64>::zeros(size, 6),
+                SVector::<f64, 6>::zeros(),
+            )
+        };
+        let mut normal = Normal {
+            stations: DMatrix::zeros(size, size),
+            right: DVector::zeros(size),
+            own: self.snapshots.iter().map(|_| fresh()).collect(),
+            cost: 0.0,
+        };
+        self.each(&mut |snapshot, station, residual| {
+            let (share, cost) = robust(residual.value, soft);
+            let weight = share / (SIGMA * SIGMA);
+            normal.cost += cost * (soft / SIGMA).powi(2);
+            let (by_station, by_device) = (&residual.by_station, &residual.by_device);
+            let at = 6 * station;
+            let mut block = normal.stations.fixed_view_mut::<6, 6>(at, at);
+            block.ger(weight, by_station, by_station, 1.0);
+            let mut right = normal.right.fixed_rows_mut::<6>(at);
+            right.axpy(weight * residual.value, by_station, 1.0);
+            let (own, coupling, right) = &mut normal.own[snapshot];
+            own.ger(weight, by_device, by_device, 1.0);
+            let mut coupling = coupling.fixed_view_mut::<6, 6>(at, 0);
+            coupling.ger(weight, by_station, by_device, 1.0);
+            right.axpy(weight * residual.value, by_device, 1.0);
+        });
+        for ((snapshot, frame), (own, _, right)) in self.snapshots.iter().zip(&mut normal.own) {
+            let weight = UP_SIGMA.powi(-2);
+            normal.cost += lean(snapshot.up, DVec3::Y, frame.rotation, weight, own, right);
+        }
+        normal
+    }
+
+    /// The bundle after a damped step.
+    fn step(&self, normal: &Normal, damping: f64) -> Option<Self> {
+        let damp = |value: &mut f64| *value = *value * (1.0 + damping) + damping;
+        let mut reduced = normal.stations.clone();
+        let mut right = normal.right.clone();
+        for axis in 0..reduced.nrows() {
+            damp(&mut reduced[(axis, axis)]);
+        }
+        let mut inverses = Vec::with_capacity(normal.own.len());
+        for (own, coupling, own_right) in &normal.own {
+            let mut own = *own;
+            for axis in 0..6 {
+                damp(&mut own[(axis, axis)]);
+            }
+            let inverse = own.cholesky()?.inverse();
+            let across = coupling * inverse;
+            reduced -= &across * coupling.transpose();
+            right -= &across * own_right;
+            inverses.push(inverse);
+        }
+        let change = reduced.cholesky()?.solve(&right);
+        let mut next = self.clone();
+        for (index, (_, station)) in next.stations.iter_mut().enumerate() {
+            let frame = Frame {
+                position: station.position,
+                rotation: station.rotation,
+            };
+            let frame = moved(&frame, &change.as_slice()[6 * index..6 * index + 6]);
+            (station.position, station.rotation) = (frame.position, frame.rotation);
+        }
+        for ((_, frame), (inverse, (_, coupling, own_right))) in next
+            .snapshots
+            .iter_mut()
+            .zip(inverses.iter().zip(&normal.own))
+        {
+            let pull = coupling.transpose() * &change;
+            let pull = SVector::<f64, 6>::from_iterator(pull.iter().copied());
+            let own: SVector<f64, 6> = inverse * (own_right - pull);
+            *frame = moved(frame, own.as_slice());
+        }
+        Some(next)
+    }
+}

@@ -4,6 +4,7 @@
 use std::{
     fs,
     io::{self, Write as _},
+    os::unix::fs::MetadataExt as _,
     path::{Path, PathBuf},
     time::SystemTime,
 };
@@ -80,7 +81,7 @@ pub fn save(path: &Path, stored: &Stored) -> Result<(), RoomError> {
         path: path.display().to_string(),
         error,
     })?;
-    let written = || {
+    let written = || -> io::Result<()> {
         let mut file = tempfile::NamedTempFile::new_in(folder)?;
         file.write_all(text.as_bytes())?;
         file.as_file().sync_all()?;
@@ -100,7 +101,7 @@ pub struct Keeper {
     seen: (u64, HostTime),
     stale: Option<HostTime>,
     /// When the file was written last, as the file system says.
-    written: Option<SystemTime>,
+    written: Option<(SystemTime, u64)>,
 }
 
 impl Keeper {
@@ -174,9 +175,10 @@ impl Keeper {
     }
 }
 
-/// When a file was written last.
-fn written(path: &Path) -> Option<SystemTime> {
-    fs::metadata(path).ok()?.modified().ok()
+/// When a file was written last, and which one it is.
+fn written(path: &Path) -> Option<(SystemTime, u64)> {
+    let metadata = fs::metadata(path).ok()?;
+    Some((metadata.modified().ok()?, metadata.ino()))
 }
 
 #[cfg(test)]

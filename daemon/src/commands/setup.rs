@@ -150,8 +150,8 @@ pub fn run(args: &SetupArgs) -> Result<(), CommandError> {
     } else {
         let recordings = args.files.iter().map(|path| replay::recording(path));
         let recordings = recordings.collect::<Result<Vec<_>, _>>()?;
-        let replay = Replay::new(recordings, Merge::OneSession);
-        (Box::new(replay), Arc::new(AtomicBool::new(false)))
+        let replay: Box<dyn Transport> = Box::new(Replay::new(recordings, Merge::OneSession));
+        (replay, Arc::new(AtomicBool::new(false)))
     };
     let (rig, _rings) = Rig::new(options.rig);
     follow(transport, rig, Setup::new(handle.clone()), &stop)?;

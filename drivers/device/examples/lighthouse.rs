@@ -109,7 +109,7 @@ fn main() -> Fallible<()> {
                 match sample {
                     Sample::Pose(pose) => device.poses.push(pose),
                     Sample::Imu(imu) => device.imu.push(imu),
-                    Sample::Buttons(_) | Sample::Battery(_) => {}
+                    _ => {}
                 }
             }
         }

@@ -187,8 +187,10 @@ mod tests {
 
     const ROOM: &str = r#"{"version": 1, "floor": "setup", "stations": [{"channel": 6, "id": 7,
         "position": [1.0, 2.0, 3.0], "rotation": [0.0, 0.0, 0.0, 1.0], "heard": true, "planes": [
-        {"phase": 0.0, "tilt": -0.05, "curve": 0.1, "gibphase": 1.0, "gibmag": -0.004, "ogeephase": 1.0, "ogeemag": 0.2},
-        {"phase": 0.0, "tilt": 0.05, "curve": 0.1, "gibphase": 1.0, "gibmag": -0.004, "ogeephase": 1.0, "ogeemag": 0.2}]}]}"#;
+        {"phase": 0.0, "tilt": -0.05, "curve": 0.1, "gibphase": 1.0, "gibmag": -0.004,
+         "ogeephase": 1.0, "ogeemag": 0.2},
+        {"phase": 0.0, "tilt": 0.05, "curve": 0.1, "gibphase": 1.0, "gibmag": -0.004,
+         "ogeephase": 1.0, "ogeemag": 0.2}]}]}"#;
 
     fn room(stored: &Stored) -> Handle {
         let handle = Handle::default();

@@ -97,7 +97,7 @@ pub(super) fn take_kept_room(handle: &room::Handle, path: &Path) {
     match crate::room::load(path) {
         Ok(Some(stored)) => handle.with(|room| room.adopt(&stored)),
         Ok(None) => {
-            tracing::info!("base stations are not known yet: they are found by their light")
+            tracing::info!("base stations are not known yet: they are found by their light");
         }
         Err(error) => tracing::warn!("{error}"),
     }

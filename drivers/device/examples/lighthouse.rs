@@ -21,7 +21,10 @@ use flate2::read::MultiGzDecoder;
 use glam::{DQuat, DVec3};
 use posed_device::{
     capture,
-    lighthouse::base_station::{BaseStation, from_z_up, parse_libsurvive},
+    lighthouse::{
+        base_station::{BaseStation, from_z_up, parse_libsurvive},
+        reproject::PlaneCalibration,
+    },
     rig::{Rig, Settings},
     transport::{Event, Merge, Recording, Replay, Transport as _},
 };
@@ -157,6 +160,21 @@ fn main() -> Fallible<()> {
     Ok(())
 }
 
+/// The largest difference between the numbers of two planes' calibrations.
+fn apart(a: &PlaneCalibration, b: &PlaneCalibration) -> f64 {
+    [
+        a.phase - b.phase,
+        a.tilt - b.tilt,
+        a.curve - b.curve,
+        a.gibphase - b.gibphase,
+        a.gibmag - b.gibmag,
+        a.ogeephase - b.ogeephase,
+        a.ogeemag - b.ogeemag,
+    ]
+    .into_iter()
+    .fold(0.0, |largest: f64, off| largest.max(off.abs()))
+}
+
 /// Base stations found beside those of a file, pair by pair.
 fn compare(found: &[BaseStation], file: &[BaseStation]) {
     let of_file = |station: &BaseStation| file.iter().find(|other| other.source == station.source);
@@ -165,8 +183,12 @@ fn compare(found: &[BaseStation], file: &[BaseStation]) {
             println!("  {}: not in the file", a.source);
             continue;
         };
-        let same = (a.id, a.calibration) == (file_a.id, file_a.calibration);
-        println!("  {}: {:08x}, heard as in the file: {same}", a.source, a.id);
+        let calibrations = a.calibration.iter().zip(&file_a.calibration);
+        let off = calibrations.map(|(a, b)| apart(a, b)).fold(0.0, f64::max);
+        println!(
+            "  {}: {:08x} (file {:08x}), calibration {off:.1e} off the file's",
+            a.source, a.id, file_a.id
+        );
         for b in &found[index + 1..] {
             let Some(file_b) = of_file(b) else { continue };
             let there = |a: &BaseStation, b: &BaseStation| {
@@ -410,13 +432,12 @@ fn against(poses: &[Pose], reference: &Reference, offset: f64, aligned: bool) {
         if let (Some(a), Some(b)) = (
             next.checked_sub(1).and_then(|i| pairs.get(i)),
             pairs.get(next),
-        ) {
-            if b.0 - a.0 < 0.03 {
-                let truth = a.3.lerp(b.3, (then - a.0) / (b.0 - a.0));
-                let foretold =
-                    turn * (pose.position.as_dvec3() + 0.03 * pose.velocity.as_dvec3()) + shift;
-                ahead.push((foretold - truth).length() * 1e3);
-            }
+        ) && b.0 - a.0 < 0.03
+        {
+            let truth = a.3.lerp(b.3, (then - a.0) / (b.0 - a.0));
+            let foretold =
+                turn * (pose.position.as_dvec3() + 0.03 * pose.velocity.as_dvec3()) + shift;
+            ahead.push((foretold - truth).length() * 1e3);
         }
     }
     println!(

@@ -325,7 +325,9 @@ fn base_stations_are_found_by_their_light() {
     let (room, tracked) = found(options, |_, _| true);
     let found: Vec<BaseStation> = room.with(|room| room.stations().copied().collect());
     let ((place, turn), (truth, true_turn)) = (relative(&found), relative(&stations));
-    assert!((place - truth).length() < 0.02, "{place} {truth}");
+    // The depth of a station is the weakest direction: so much of its distance.
+    let off = (place - truth).length();
+    assert!(off < 0.005 * truth.length(), "{place} {truth}");
     assert!(turn.angle_between(true_turn) < 0.5f64.to_radians());
     for (found, truth) in found.iter().zip(&stations) {
         assert_eq!((found.id, found.calibration), (truth.id, truth.calibration));

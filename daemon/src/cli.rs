@@ -3,6 +3,8 @@
 use std::{net::SocketAddr, path::PathBuf};
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
+use posed_signal::Role;
+use posed_tracker::worn::Stance;
 
 use crate::output::{bvh::Unit, export, names::Names, record};
 
@@ -36,7 +38,7 @@ pub enum Command {
     Record(RecordArgs),
     /// Write the motion of a capture, or of poses written before, to a file for other programs.
     Export(ExportArgs),
-    /// Make the USB traffic of a headset and two controllers from a human motion.
+    /// Make the USB traffic of a headset, two controllers and body trackers from a human motion.
     Simulate(SimulateArgs),
     /// Follow the pose that a running posed serves.
     Follow(FollowArgs),
@@ -133,6 +135,10 @@ pub struct ReplayArgs {
     /// Begin again at the end, until Ctrl-C.
     #[arg(long = "loop", requires = "serve")]
     pub again: bool,
+    /// Calibrate inertial trackers from a stance that the wearer holds so many seconds into the
+    /// capture: straight, t-pose or crouch. May be given several times.
+    #[arg(long, value_name = "STANCE@SECONDS", value_parser = parse_calibration)]
+    pub calibrate: Vec<Calibration>,
     /// Print the summary as JSON.
     #[arg(long)]
     pub json: bool,
@@ -295,8 +301,8 @@ pub struct TrackerArgs {
 /// Arguments of `posed calibrate`.
 #[derive(Debug, Args)]
 pub struct CalibrateArgs {
-    /// t-pose: arms stretched out sideways, palms down; straight: arms hanging. Both upright, feet
-    /// together, looking straight ahead.
+    /// t-pose: arms stretched out sideways, palms down; straight: arms hanging; both upright, feet
+    /// together, looking straight ahead. crouch: as on skis, after one of the others.
     #[arg(default_value = "t-pose", value_parser = parse_stance)]
     pub stance: posed_tracker::Stance,
     /// Seconds to take the stance in.
@@ -323,10 +329,27 @@ pub struct SimulateArgs {
     /// Seconds, at most.
     #[arg(long, value_name = "SECONDS")]
     pub seconds: Option<f64>,
+    /// Leave out headset and controllers.
+    #[arg(long, requires = "trackers")]
+    pub no_headset: bool,
+    /// SlimeVR trackers that the wearer has on, behind one receiver: roles with commas between
+    /// them, or `six` for pelvis, shanks, forearms and head.
+    #[arg(long, value_name = "ROLES", value_parser = parse_roles)]
+    pub trackers: Option<Roles>,
+    /// Share of their packets that the radio loses, 0 to 1.
+    #[arg(long, value_name = "SHARE", default_value = "0", value_parser = parse_share)]
+    pub loss: f64,
+    /// Begin with the stances of a calibration: straight, t-pose and crouch, held around 1.5, 5.5
+    /// and 9.5 s. The motion begins after 12 s.
+    #[arg(long)]
+    pub calibration: bool,
+    /// Format of the capture.
+    #[arg(long, value_enum, default_value = "pcap")]
+    pub format: CaptureFormat,
     /// Seed of noise and motion.
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
-    /// The capture to write (usbmon pcap; compressed where the name ends in `.gz`).
+    /// The capture to write; a pcap is compressed where its name ends in `.gz`.
     #[arg(long, value_name = "FILE")]
     pub out: PathBuf,
     /// Where to write the true poses, as lines of JSON.
@@ -465,6 +488,55 @@ fn parse_without(text: &str) -> Result<posed_tracker::pip::Physics, String> {
     }
 }
 
+/// A stance, and when it is held.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Calibration {
+    /// Which stance.
+    pub stance: Stance,
+    /// Seconds from the first packet.
+    pub seconds: f64,
+}
+
+fn parse_calibration(text: &str) -> Result<Calibration, String> {
+    let wrong = || "give a stance and a time, as t-pose@5".to_owned();
+    let (stance, seconds) = text.split_once('@').ok_or_else(wrong)?;
+    let names = || format!("there are {}", Stance::ALL.map(Stance::name).join(", "));
+    Ok(Calibration {
+        stance: Stance::from_name(stance).ok_or_else(names)?,
+        seconds: seconds.parse().map_err(|_| wrong())?,
+    })
+}
+
+/// Roles of trackers.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Roles(pub Vec<Role>);
+
+fn parse_roles(text: &str) -> Result<Roles, String> {
+    if text == "six" {
+        return Ok(Roles(vec![
+            Role::Waist,
+            Role::LeftKnee,
+            Role::RightKnee,
+            Role::LeftWrist,
+            Role::RightWrist,
+            Role::Head,
+        ]));
+    }
+    let role = |name: &str| {
+        let known = Role::from_name(name).filter(|role| crate::simulated::carries(*role));
+        known.ok_or_else(|| format!("no tracker is worn on {name:?}"))
+    };
+    let roles: Vec<Role> = text.split(',').map(role).collect::<Result<_, _>>()?;
+    Ok(Roles(roles))
+}
+
+fn parse_share(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(share) if (0.0..=1.0).contains(&share) => Ok(share),
+        _ => Err("give a share from 0 to 1".into()),
+    }
+}
+
 fn parse_speed(text: &str) -> Result<Speed, String> {
     if text == "max" {
         return Ok(Speed::Max);
@@ -518,7 +590,7 @@ fn parse_unit(text: &str) -> Result<Unit, String> {
 }
 
 fn parse_stance(text: &str) -> Result<posed_tracker::Stance, String> {
-    posed_tracker::Stance::from_name(text).ok_or_else(|| "give t-pose or straight".into())
+    posed_tracker::Stance::from_name(text).ok_or_else(|| "give t-pose, straight or crouch".into())
 }
 
 fn parse_sensors(text: &str) -> Result<posed_tracker::eval::Sensors, String> {

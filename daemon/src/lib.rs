@@ -13,6 +13,7 @@ pub mod notify;
 pub mod output;
 pub mod page;
 pub mod pipeline;
+pub mod postures;
 pub mod published;
 pub mod room;
 pub mod serving;

@@ -2,8 +2,8 @@
 //! Everything that leaves the daemon (gRPC, files, other protocols) is made from these.
 
 use posed_body::{BodyPose, Joints};
-use posed_signal::{Battery, DeviceId, HostTime, Lookup, Pose, Role, Serial};
-use posed_tracker::{Forces, Quality, TrackerKind};
+use posed_signal::{Battery, DeviceId, HostTime, Lookup, Pose, Radio, Role, Serial};
+use posed_tracker::{Forces, Quality, TrackerKind, worn};
 use serde::{Serialize, Serializer, ser::SerializeStruct as _};
 
 /// One tick's result. It is `Copy`, so that it passes from the tracker thread without allocation.
@@ -31,6 +31,8 @@ pub struct PublishedPose {
     /// What the tracker was given: each body part's pose at `target_at` and how it was made;
     /// indexed by [`Role`] as a number.
     pub parts: [Lookup<Pose>; Role::COUNT],
+    /// How well the wearer's inertial trackers are calibrated, and how their headings wander.
+    pub worn: worn::Report,
 }
 
 impl PublishedPose {
@@ -131,6 +133,8 @@ pub struct DeviceState {
     pub connected: bool,
     /// The last battery report, where the device has one.
     pub battery: Option<Battery>,
+    /// How well its radio is heard, where it has one.
+    pub radio: Option<Radio>,
     /// Samples a second that arrived lately.
     pub rate_hz: f32,
     /// Share of the time, 0 to 1, for which the device was tracked optically.
@@ -184,6 +188,7 @@ pub(crate) mod tests {
             joints: Skeleton::of_height(1.75).forward(&pose),
             forces: (sequence % 2 == 1).then(|| forces_at(turn)),
             parts,
+            worn: worn::Report::default(),
         }
     }
 

@@ -210,6 +210,7 @@ fn state(device: &DeviceInfo, past: &mut Past, now: HostTime, seconds: f32) -> D
         role: device.role,
         connected: device.connected,
         battery: device.battery,
+        radio: device.radio,
         rate_hz: past.rate_hz,
         tracked_share: past.share,
         packets: counters.packets,

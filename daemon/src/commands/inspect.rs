@@ -4,12 +4,16 @@ use std::{collections::BTreeMap, fmt::Write as _, fs::File, io::BufReader, path:
 
 use posed_device::{
     capture::{self, Item, identity},
-    catalog::{self, Entry},
+    catalog::{self, Entry, Family},
+    joycon,
     lighthouse::inspect::{Inspector, Report},
+    slimevr,
     usb::{Packet, Port, UsbId},
 };
 use posed_signal::HostTime;
 use serde_json::{Value, json};
+
+mod trackers;
 
 use super::{CommandError, replay::identities_beside};
 use crate::cli::InspectArgs;
@@ -32,9 +36,12 @@ pub struct Inspection {
 #[derive(Debug)]
 struct Found {
     id: Option<UsbId>,
-    entry: Option<&'static str>,
+    entry: Option<&'static Entry>,
     inertial_reports: u32,
+    /// What the device is may turn out late: until then each family counts for itself.
     inspector: Inspector,
+    slimevr: slimevr::inspect::Inspector,
+    joycon: joycon::inspect::Inspector,
 }
 
 impl Default for Found {
@@ -44,6 +51,8 @@ impl Default for Found {
             entry: None,
             inertial_reports: 0,
             inspector: Inspector::new(None),
+            slimevr: slimevr::inspect::Inspector::default(),
+            joycon: joycon::inspect::Inspector::default(),
         }
     }
 }
@@ -51,7 +60,11 @@ impl Default for Found {
 impl Found {
     fn known(&mut self, id: UsbId) {
         self.id = Some(id);
-        self.entry = catalog::find(id).map(|entry| entry.name).or(self.entry);
+        self.entry = catalog::find(id).or(self.entry);
+    }
+
+    fn family(&self) -> Family {
+        self.entry.map_or(Family::Lighthouse, |entry| entry.family)
     }
 
     fn packet(&mut self, packet: &Packet) {
@@ -59,11 +72,17 @@ impl Found {
             self.known(id);
         }
         if self.entry.is_none() {
-            let entry: Option<&'static Entry> =
-                catalog::recognise(packet, &mut self.inertial_reports);
-            self.entry = entry.map(|entry| entry.name);
+            self.entry = catalog::recognise(packet, &mut self.inertial_reports);
         }
-        self.inspector.packet(packet);
+        if self.entry.is_none() || self.family() == Family::Lighthouse {
+            self.inspector.packet(packet);
+        }
+        if self.entry.is_none() || self.family() == Family::SlimeVr {
+            self.slimevr.packet(packet);
+        }
+        if self.entry.is_none() || self.family() == Family::JoyCon {
+            self.joycon.packet(packet);
+        }
     }
 }
 
@@ -173,6 +192,20 @@ impl Inspection {
 
 impl Found {
     fn json(&self, port: Port) -> Value {
+        let mut value = match self.family() {
+            Family::Lighthouse => self.lighthouse_json(),
+            Family::SlimeVr => trackers::slimevr_json(&self.slimevr.report()),
+            Family::JoyCon => trackers::joycon_json(&self.joycon.report()),
+        };
+        if let Value::Object(fields) = &mut value {
+            fields.insert("port".into(), port.to_string().into());
+            fields.insert("usb".into(), self.id.map(|id| id.to_string()).into());
+            fields.insert("device".into(), self.entry.map(|entry| entry.name).into());
+        }
+        value
+    }
+
+    fn lighthouse_json(&self) -> Value {
         let report = self.inspector.report();
         let out_of_slot_order = report.imu_samples_out_of_slot_order();
         let configuration = report
@@ -180,9 +213,6 @@ impl Found {
             .as_deref()
             .and_then(|text| serde_json::from_str::<Value>(text).ok());
         json!({
-            "port": port.to_string(),
-            "usb": self.id.map(|id| id.to_string()),
-            "device": self.entry,
             "model": report.model,
             "serial": report.serial,
             "packets": report.packets,
@@ -208,11 +238,27 @@ impl Found {
     }
 
     fn text(&self, port: Port, text: &mut String) {
-        let report = self.inspector.report();
         let id = self
             .id
             .map_or_else(|| "????:????".into(), |id| id.to_string());
-        let name = report.model.or(self.entry).unwrap_or("unknown device");
+        let entry = self.entry.map(|entry| entry.name);
+        match self.family() {
+            Family::Lighthouse => {}
+            Family::SlimeVr => {
+                let name = entry.unwrap_or("SlimeVR receiver");
+                let _ = writeln!(text, "\n{port}  {id}  {name}");
+                return trackers::slimevr_text(&self.slimevr.report(), text);
+            }
+            Family::JoyCon => {
+                let report = self.joycon.report();
+                let name = report.model.or(entry).unwrap_or("Joy-Con");
+                let serial = report.serial.as_deref().unwrap_or("");
+                let _ = writeln!(text, "\n{port}  {id}  {name}  {serial}");
+                return trackers::joycon_text(&report, text);
+            }
+        }
+        let report = self.inspector.report();
+        let name = report.model.or(entry).unwrap_or("unknown device");
         let serial = report.serial.as_deref().unwrap_or("");
         let _ = writeln!(text, "\n{port}  {id}  {name}  {serial}");
         let _ = write!(text, "  {} packets", report.packets);

@@ -25,7 +25,7 @@ use super::{
 };
 use crate::{
     assemble::{Assembly, assemble},
-    cli::{OutputArgs, ReplayArgs, Speed},
+    cli::{Calibration, OutputArgs, ReplayArgs, Speed},
     clock::Monotonic,
     output::jsonl::JsonLines,
     page::Station,
@@ -33,6 +33,7 @@ use crate::{
         playback::Playback,
         replay::{Watcher, replay},
         source::Source,
+        tracking::Request,
     },
     published::PublishedPose,
 };
@@ -82,6 +83,7 @@ pub fn run(args: &ReplayArgs) -> Result<(), CommandError> {
     } = assemble(open()?, options);
 
     let mut watcher = Outputs::new(&args.output, args.speed)?;
+    let calibrations = args.calibrate.clone();
     let mut serving = None;
     if args.serve {
         let (sink, server) = settings::serve(&config, requests, trackers)?;
@@ -95,7 +97,20 @@ pub fn run(args: &ReplayArgs) -> Result<(), CommandError> {
         let speed = watcher.pacer.take().map(Pacer::speed);
         watcher.broadcast = Some(Broadcast::new(speed, sink, &server, playback));
         watcher.stop = Some(live::stop_flag()?);
+        let control = Arc::clone(&server.services().control);
+        let ask = move |request| {
+            if let Err(refusal) = control.request(request) {
+                tracing::warn!("not calibrated: {refusal}");
+            }
+        };
+        watcher.calibrations = Some(Calibrations::new(calibrations, ask));
         serving = Some(server);
+    } else {
+        let mut requests = requests;
+        let ask = move |request| {
+            requests.push(request);
+        };
+        watcher.calibrations = Some(Calibrations::new(calibrations, ask));
     }
     let begun = Monotonic.now();
     let rate_hz = config.tracker.rate_hz;
@@ -130,12 +145,40 @@ fn opener(files: Vec<PathBuf>) -> Open {
     })
 }
 
+/// Asks for calibrations when their time has come.
+struct Calibrations {
+    /// The next one last.
+    waiting: Vec<Calibration>,
+    ask: Box<dyn FnMut(Request)>,
+    start: Option<HostTime>,
+}
+
+impl Calibrations {
+    fn new(mut waiting: Vec<Calibration>, ask: impl FnMut(Request) + 'static) -> Self {
+        waiting.sort_by(|a, b| b.seconds.total_cmp(&a.seconds));
+        Self {
+            waiting,
+            ask: Box::new(ask),
+            start: None,
+        }
+    }
+
+    fn tick(&mut self, time: HostTime) {
+        let start = *self.start.get_or_insert(time);
+        let passed = time.since_secs(start);
+        while let Some(due) = self.waiting.pop_if(|next| next.seconds <= passed) {
+            (self.ask)(Request::Calibrate(due.stance));
+        }
+    }
+}
+
 /// Everything that a replay writes.
 struct Outputs {
     pacer: Option<Pacer>,
     broadcast: Option<Broadcast>,
     /// Set by Ctrl-C, which otherwise ends the process.
     stop: Option<Arc<AtomicBool>>,
+    calibrations: Option<Calibrations>,
     poses: Option<JsonLines>,
     devices: Option<JsonLines>,
     pending: Vec<(DeviceId, posed_signal::Pose)>,
@@ -165,6 +208,7 @@ impl Outputs {
             },
             broadcast: None,
             stop: None,
+            calibrations: None,
             poses: create(&args.poses)?,
             devices: create(&args.devices)?,
             pending: Vec::new(),
@@ -203,6 +247,9 @@ impl Watcher for Outputs {
         }
         let stop = self.stop.as_deref();
         let stops = || stop.is_some_and(|stop| stop.load(Ordering::Relaxed));
+        if let Some(calibrations) = &mut self.calibrations {
+            calibrations.tick(time);
+        }
         match &mut self.broadcast {
             Some(broadcast) => broadcast.wait(time, stops),
             None => true,

@@ -4,6 +4,7 @@ use std::fmt::Write as _;
 
 use posed_device::rig::DeviceInfo;
 use posed_signal::{HostTime, Lookup, Pose, PoseHow, Role, time::SECOND_NS};
+use posed_tracker::worn;
 use serde::Serialize;
 
 use crate::published::PublishedPose;
@@ -28,6 +29,7 @@ pub struct Tally {
     shares: [Share; Role::COUNT],
     residual_squares: [f64; Role::COUNT],
     qualities: [u64; 4],
+    worn: worn::Report,
 }
 
 impl Tally {
@@ -35,6 +37,7 @@ impl Tally {
     pub fn pose(&mut self, pose: &PublishedPose) {
         let first = *self.first.get_or_insert(pose.target_at);
         self.ticks += 1;
+        self.worn = pose.worn;
         self.qualities[pose.quality as usize] += 1;
         if pose.target_at.since_ns(first) < WARM_UP_NS {
             return;
@@ -66,6 +69,12 @@ impl Tally {
                 packets: device.counters.packets,
                 imu_samples: device.counters.imu,
                 poses: device.counters.poses,
+                orientations: device.counters.orientations,
+                battery: device.battery.map(|battery| battery.charge),
+                rssi_dbm: device.radio.and_then(|radio| radio.rssi_dbm),
+                radio_received: device.radio.map(|radio| radio.received),
+                radio_lost: device.radio.map(|radio| radio.lost),
+                drift_degrees_per_minute: self.worn.drift[role],
                 decode_errors: device.counters.decode_errors,
                 dropped: device.counters.dropped,
                 last_error: device.counters.last_error.as_ref().map(ToString::to_string),
@@ -83,6 +92,7 @@ impl Tally {
                 full: self.qualities[3],
             },
             devices: devices.iter().map(device).collect(),
+            calibrated: self.worn.calibrated,
         }
     }
 }
@@ -107,6 +117,8 @@ pub struct Report {
     pub quality: QualityReport,
     /// The devices.
     pub devices: Vec<DeviceReport>,
+    /// Inertial trackers that are calibrated.
+    pub calibrated: u8,
 }
 
 /// Body poses by quality, see [`posed_tracker::Quality`].
@@ -137,6 +149,18 @@ pub struct DeviceReport {
     pub imu_samples: u64,
     /// Poses solved.
     pub poses: u64,
+    /// Orientations of an inertial tracker.
+    pub orientations: u64,
+    /// Battery, 0 to 1.
+    pub battery: Option<f32>,
+    /// Signal strength, dBm.
+    pub rssi_dbm: Option<f32>,
+    /// Packets that arrived by radio, where a receiver counts them.
+    pub radio_received: Option<u64>,
+    /// Packets that did not.
+    pub radio_lost: Option<u64>,
+    /// How fast its heading wanders, degrees a minute, where that could be told.
+    pub drift_degrees_per_minute: Option<f32>,
     /// Packets that could not be decoded.
     pub decode_errors: u64,
     /// Samples lost to a full ring.
@@ -182,6 +206,46 @@ impl Report {
                 device.decode_errors,
             );
         }
+        self.trackers(&mut text);
         text
+    }
+
+    /// A table of the inertial trackers, if there are any.
+    fn trackers(&self, text: &mut String) {
+        let trackers = || self.devices.iter().filter(|device| device.orientations > 0);
+        if trackers().next().is_none() {
+            return;
+        }
+        let _ = writeln!(
+            text,
+            "{} inertial trackers calibrated\n{:<14} {:<11} {:>12} {:>8} {:>8} {:>8} {:>14}",
+            self.calibrated, "serial", "role", "orientations", "battery", "signal", "lost", "drift"
+        );
+        let or_dash = |text: Option<String>| text.unwrap_or_else(|| "-".into());
+        for device in trackers() {
+            let lost = device.radio_lost.zip(device.radio_received);
+            let share = |(lost, received): (u64, u64)| {
+                format!(
+                    "{:.1}%",
+                    100.0 * lost as f64 / (lost + received).max(1) as f64
+                )
+            };
+            let drift = device.drift_degrees_per_minute;
+            let _ = writeln!(
+                text,
+                "{:<14} {:<11} {:>12} {:>8} {:>8} {:>8} {:>14}",
+                device.serial,
+                device.role,
+                device.orientations,
+                or_dash(
+                    device
+                        .battery
+                        .map(|charge| format!("{:.0}%", 100.0 * charge))
+                ),
+                or_dash(device.rssi_dbm.map(|dbm| format!("{dbm:.0} dBm"))),
+                or_dash(lost.map(share)),
+                or_dash(drift.map(|drift| format!("{drift:+.2} deg/min"))),
+            );
+        }
     }
 }

@@ -313,6 +313,7 @@ pub(crate) fn to_pose(wire: &v1::Pose) -> Result<PublishedPose> {
         },
         forces: wire.forces.as_ref().map(to_forces).transpose()?,
         parts,
+        worn: Default::default(),
     };
     let problem = "holds numbers that are not finite or rotations that are not unit";
     if pose.is_sound() {
@@ -387,6 +388,7 @@ pub(super) fn to_stance(wire: v1::Stance) -> Option<Stance> {
         v1::Stance::Unspecified => None,
         v1::Stance::TPose => Some(Stance::TPose),
         v1::Stance::Straight => Some(Stance::Straight),
+        v1::Stance::Crouch => Some(Stance::Crouch),
     }
 }
 
@@ -395,6 +397,7 @@ pub(crate) fn stance(stance: Stance) -> v1::Stance {
     match stance {
         Stance::TPose => v1::Stance::TPose,
         Stance::Straight => v1::Stance::Straight,
+        Stance::Crouch => v1::Stance::Crouch,
     }
 }
 
@@ -511,7 +514,7 @@ mod tests {
             assert_eq!(to_wish(wish(&before)), Some(before));
         }
         assert_eq!(to_wish(v1::StartRecordingRequest::default()), None);
-        for known in [Stance::TPose, Stance::Straight] {
+        for known in Stance::ALL {
             assert_eq!(to_stance(stance(known)), Some(known));
         }
     }
@@ -554,6 +557,7 @@ mod tests {
             model: "Index headset".into(),
             role: Role::Head,
             connected: true,
+            radio: None,
             battery: Some(Battery {
                 at: HostTime(5),
                 charge: 0.5,

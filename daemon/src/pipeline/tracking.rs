@@ -8,8 +8,11 @@ use posed_signal::{
     device::DEVICES_MAX, latest::Reader, ring::Consumer,
 };
 use posed_tracker::{
-    Forces, Input, Stance, Tracked, Tracker, TrackerKind, Wearer, ik::Ik, sensors::Mounts,
+    Forces, Input, Tracked, Tracker, TrackerKind, Wearer,
+    ik::Ik,
+    sensors::Mounts,
     tracker::NO_INERTIAL,
+    worn::{self, Fitting, Stance},
 };
 
 use super::latency::LatencyModel;
@@ -36,7 +39,7 @@ pub enum Request {
     Height(f32),
     /// Work with this tracker from now on.
     Tracker(TrackerKind),
-    /// The wearer stands in this stance now.
+    /// The wearer is about to hold this posture, from which inertial trackers are calibrated.
     Calibrate(Stance),
 }
 
@@ -87,6 +90,7 @@ pub struct TrackerLoop {
     choice: TrackerKind,
     wearer: Wearer,
     mounts: Mounts,
+    fitting: Fitting,
     latency: LatencyModel,
     last: Tracked,
     counters: Counters,
@@ -108,6 +112,7 @@ impl TrackerLoop {
             choice: setup.choice,
             wearer: setup.wearer,
             mounts: Mounts::index(&setup.wearer),
+            fitting: Fitting::default(),
             latency: LatencyModel::new(setup.horizon_ns),
             last: Tracked {
                 pose,
@@ -131,7 +136,11 @@ impl TrackerLoop {
         self.drain(observe);
         let target = self.latency.target(now);
         let parts = self.parts(target);
-        let inertial = self.inertial(target);
+        let devices = self.inertial(target);
+        let head = &parts[Role::Head as usize];
+        let before = self.fitting.report();
+        let inertial = self.fitting.tick(target, &devices, head);
+        self.tell_calibration(&before);
         let tracked = self.track(target, &parts, &inertial);
         self.counters.ticks += 1;
         self.publication(clock, now, target, &parts, tracked)
@@ -175,12 +184,19 @@ impl TrackerLoop {
                     self.choice = kind;
                     self.reset();
                 }
-                Some(Request::Calibrate(stance)) => {
-                    self.fallback.calibrate(stance);
-                    for tracker in &mut self.trackers {
-                        tracker.calibrate(stance);
-                    }
-                }
+                Some(Request::Calibrate(posture)) => self.fitting.calibrate(posture),
+            }
+        }
+    }
+
+    /// Tells trackers when a stance has been taken that was not `before`.
+    fn tell_calibration(&mut self, before: &worn::Report) {
+        let after = self.fitting.report();
+        let taken = after.phase == worn::Phase::Done && before.phase == worn::Phase::Holding;
+        if let Some(stance) = after.stance.filter(|_| taken) {
+            self.fallback.calibrate(stance);
+            for tracker in &mut self.trackers {
+                tracker.calibrate(stance);
             }
         }
     }
@@ -225,13 +241,13 @@ impl TrackerLoop {
         parts
     }
 
-    /// The bone that carries each role's inertial tracker, at `target`.
+    /// What each role's inertial tracker says, in its own frame and world, at `target`.
     fn inertial(&self, target: HostTime) -> [Lookup<Orientation>; Role::COUNT] {
         let mut inertial = NO_INERTIAL;
         for (history, &role) in self.orientations.iter().zip(&self.roles) {
             let slot = &mut inertial[role as usize];
             if role != Role::None && matches!(slot, Lookup::Empty) {
-                *slot = self.mounts.bone(role, history.at(target));
+                *slot = history.at(target);
             }
         }
         inertial
@@ -306,6 +322,7 @@ impl TrackerLoop {
             forces: tracked.forces.filter(Forces::is_sound),
             joints: self.wearer.skeleton.forward(&tracked.pose),
             parts: *parts,
+            worn: self.fitting.report(),
         }
     }
 }

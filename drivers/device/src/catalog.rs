@@ -26,6 +26,17 @@ pub enum Access {
     Usb,
 }
 
+/// Devices that speak the same language.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Family {
+    /// SteamVR Tracking.
+    Lighthouse,
+    /// SlimeVR receivers and trackers.
+    SlimeVr,
+    /// Joy-Cons and the Pro Controller.
+    JoyCon,
+}
+
 /// A report that no other device sends.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Shape {
@@ -38,11 +49,14 @@ pub struct Shape {
 }
 
 /// A device that posed knows.
+#[derive(Debug)]
 pub struct Entry {
     /// For people.
     pub name: &'static str,
     /// The ids it goes by.
     pub ids: &'static [UsbId],
+    /// Which language it speaks.
+    pub family: Family,
     /// How it is reached live.
     pub access: Access,
     /// The interrupt IN endpoints that are read.
@@ -77,6 +91,7 @@ pub static CATALOG: &[Entry] = &[
     Entry {
         name: "HTC Vive headset",
         ids: &[UsbId::new(VALVE, 0x2000)],
+        family: Family::Lighthouse,
         access: Access::Hidraw,
         endpoints: &[0x81, 0x82],
         shapes: &[shape(0x82, 0x25, 64)],
@@ -85,6 +100,7 @@ pub static CATALOG: &[Entry] = &[
     Entry {
         name: "Valve Index headset, or Index controller or Vive tracker (2018) on a cable",
         ids: &[VALVE_WIRED],
+        family: Family::Lighthouse,
         access: Access::Hidraw,
         endpoints: &[0x81, 0x83, 0x84],
         shapes: &[
@@ -97,6 +113,7 @@ pub static CATALOG: &[Entry] = &[
     Entry {
         name: "Vive controller on a cable",
         ids: &[UsbId::new(VALVE, 0x2012)],
+        family: Family::Lighthouse,
         access: Access::Hidraw,
         endpoints: &[0x81, 0x82, 0x83],
         shapes: &[shape(0x82, 0x21, 58)],
@@ -105,6 +122,7 @@ pub static CATALOG: &[Entry] = &[
     Entry {
         name: "Vive tracker on a cable",
         ids: &[UsbId::new(VALVE, 0x2022)],
+        family: Family::Lighthouse,
         access: Access::Hidraw,
         endpoints: &[0x81, 0x82, 0x83],
         shapes: &[],
@@ -113,6 +131,7 @@ pub static CATALOG: &[Entry] = &[
     Entry {
         name: "Watchman radio (Vive and Index controllers, trackers)",
         ids: &[UsbId::new(VALVE, 0x2101), UsbId::new(VALVE, 0x2102)],
+        family: Family::Lighthouse,
         access: Access::Hidraw,
         endpoints: &[0x81],
         shapes: &[shape(0x81, 0x23, 30), shape(0x81, 0x24, 59)],
@@ -121,6 +140,7 @@ pub static CATALOG: &[Entry] = &[
     Entry {
         name: "HTC Vive or Vive Pro mainboard",
         ids: &[UsbId::new(HTC, 0x2c87), UsbId::new(HTC, 0x030e)],
+        family: Family::Lighthouse,
         access: Access::Hidraw,
         endpoints: &[0x81],
         shapes: &[shape(0x81, 0x03, 64)],
@@ -132,6 +152,7 @@ pub static CATALOG: &[Entry] = &[
             UsbId::new(OPEN_SOURCE, 0x7690),
             UsbId::new(OPEN_SOURCE, 0x7692),
         ],
+        family: Family::SlimeVr,
         access: Access::Hidraw,
         endpoints: &[0x81],
         shapes: &[],
@@ -144,6 +165,7 @@ pub static CATALOG: &[Entry] = &[
             UsbId::new(NINTENDO, 0x2007),
             UsbId::new(NINTENDO, 0x2009),
         ],
+        family: Family::JoyCon,
         access: Access::Hidraw,
         endpoints: &[0x81],
         shapes: &[

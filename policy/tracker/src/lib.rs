@@ -15,6 +15,7 @@ pub mod questsim;
 pub mod sensors;
 mod steps;
 pub mod tracker;
+pub mod worn;
 
 pub use hmd_nemo::HmdNemo;
 pub use ik::Ik;
@@ -22,4 +23,5 @@ pub use physics::Physical;
 pub use pip::Pip;
 pub use questsim::QuestSim;
 pub use sensors::{Mount, Mounts};
-pub use tracker::{Forces, Input, Quality, Stance, Tracked, Tracker, TrackerKind, Wearer};
+pub use tracker::{Forces, Input, Quality, Tracked, Tracker, TrackerKind, Wearer};
+pub use worn::Stance;

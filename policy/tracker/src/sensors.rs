@@ -7,7 +7,7 @@
 use std::f32::consts::FRAC_PI_2;
 
 use glam::{EulerRot, Quat, Vec3};
-use posed_signal::{Lookup, Orientation, Pose, Role};
+use posed_signal::{Lookup, Pose, Role};
 
 use crate::tracker::Wearer;
 
@@ -162,16 +162,6 @@ impl Mounts {
     pub fn part(&self, role: Role, device: Lookup<Pose>) -> Lookup<Pose> {
         let turn = |pose: Pose| self.get(role).part_pose(&pose);
         device.map(turn)
-    }
-
-    /// What a history said of a role's inertial tracker, said of the bone that carries it.
-    #[must_use]
-    pub fn bone(&self, role: Role, device: Lookup<Orientation>) -> Lookup<Orientation> {
-        let into_device = self.get(role).rotation.inverse();
-        device.map(|orientation| Orientation {
-            rotation: (orientation.rotation * into_device).normalize(),
-            ..orientation
-        })
     }
 }
 

@@ -7,6 +7,8 @@ use posed_body::{
 };
 use posed_signal::{HostTime, Lookup, Orientation, Pose, Role};
 
+use crate::worn::Stance;
+
 /// Which tracker made a pose.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
 #[repr(u8)]
@@ -69,35 +71,6 @@ impl Quality {
             Self::Partial => "partial",
             Self::Full => "full",
         }
-    }
-}
-
-/// A stance that the wearer takes to calibrate: upright, feet together, looking straight ahead.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-pub enum Stance {
-    /// Arms stretched out sideways, palms down: the skeleton's rest pose.
-    TPose,
-    /// Arms hanging, palms inwards.
-    Straight,
-}
-
-impl Stance {
-    /// Every stance.
-    pub const ALL: [Self; 2] = [Self::TPose, Self::Straight];
-
-    /// The word on the command line.
-    #[must_use]
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::TPose => "t-pose",
-            Self::Straight => "straight",
-        }
-    }
-
-    /// The inverse of [`Stance::name`].
-    #[must_use]
-    pub fn from_name(name: &str) -> Option<Self> {
-        Self::ALL.into_iter().find(|stance| stance.name() == name)
     }
 }
 
@@ -214,8 +187,8 @@ pub trait Tracker: Send {
     /// Forgets the past: the next tick starts from what the devices then say.
     fn reset(&mut self);
 
-    /// The wearer stands in `stance` at the next tick. Trackers whose sensors say themselves how
-    /// they are worn have nothing to learn from it.
+    /// The wearer has held `stance` until this tick, and inertial trackers were calibrated from it:
+    /// what they say from now on may differ from what they said before.
     fn calibrate(&mut self, _stance: Stance) {}
 
     /// Tells the pose that the wearer is in at the next tick, from calibration: a tracker that

@@ -81,6 +81,7 @@ fn device(id: u8, packets: u64) -> DeviceState {
         model: "Index headset".into(),
         role: Role::Head,
         connected: true,
+        radio: None,
         battery: None,
         rate_hz: 250.0,
         tracked_share: 1.0,

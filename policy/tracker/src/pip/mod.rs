@@ -21,7 +21,8 @@ use crate::{
     ik::Ik,
     inference::{InferenceError, Runtime},
     presence::Sensed,
-    tracker::{Input, Quality, Stance, Tracked, Tracker, TrackerKind, Wearer},
+    tracker::{Input, Quality, Tracked, Tracker, TrackerKind, Wearer},
+    worn::Stance,
 };
 use dynamics::Dynamics;
 use grid::{Grid, Tick};

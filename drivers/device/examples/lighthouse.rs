@@ -277,7 +277,8 @@ fn general(poses: &[Pose], imu: &[Imu], seconds: f64) {
         let place = (place / rest as f64).powf(0.5) * 1e3;
         let slow = (slow / rest as f64).powf(0.5) * 1e3;
         println!(
-            "  at rest {:.0} %: sd in 0.5 s {:.4} {:.4} {:.4} mm, {:.4} degrees; about the mean {:.4} {:.4} {:.4} mm",
+            "  at rest {:.0} %: sd in 0.5 s {:.4} {:.4} {:.4} mm, {:.4} degrees; \
+             about the mean {:.4} {:.4} {:.4} mm",
             100.0 * rest as f64 / poses.len() as f64,
             place.x,
             place.y,

@@ -117,12 +117,14 @@ fn the_small_example_agrees_with_pytorch() {
 fn the_models_that_ship_agree_with_pytorch() {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../models");
     for name in ["pip_small", "pip_full"] {
-        let model = std::fs::read(folder.join(format!("{name}.onnx")));
-        let golden = std::fs::read_to_string(folder.join(format!("{name}.golden.json")));
-        let (Ok(model), Ok(golden)) = (model, golden) else {
+        let Ok(model) = std::fs::read(folder.join(format!("{name}.onnx"))) else {
             continue;
         };
-        replay(&model, &golden);
+        let golden = std::fs::read_to_string(folder.join(format!("{name}.golden.json")));
+        replay(
+            &model,
+            &golden.expect("a model ships with its golden vectors"),
+        );
     }
 }
 

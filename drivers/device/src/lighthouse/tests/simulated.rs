@@ -317,17 +317,16 @@ fn relative(stations: &[BaseStation]) -> (DVec3, DQuat) {
 
 #[test]
 fn base_stations_are_found_by_their_light() {
+    // Twice the time that a station takes to say what it is.
     let options = Options {
-        duration_s: 12.0,
+        duration_s: 20.0,
         ..Options::default()
     };
     let (start, stations) = (options.start, options.stations.clone());
     let (room, tracked) = found(options, |_, _| true);
     let found: Vec<BaseStation> = room.with(|room| room.stations().copied().collect());
     let ((place, turn), (truth, true_turn)) = (relative(&found), relative(&stations));
-    // The depth of a station is the weakest direction: so much of its distance.
-    let off = (place - truth).length();
-    assert!(off < 0.005 * truth.length(), "{place} {truth}");
+    assert!((place - truth).length() < 0.02, "{place} {truth}");
     assert!(turn.angle_between(true_turn) < 0.5f64.to_radians());
     for (found, truth) in found.iter().zip(&stations) {
         assert_eq!((found.id, found.calibration), (truth.id, truth.calibration));

@@ -7,3 +7,4 @@ mod layering;
 mod shared;
 mod stage;
 mod tidy;
+mod trackers;

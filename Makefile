@@ -40,7 +40,8 @@ test: native
 
 # posed as a browser, clients and other programs see it.
 outside: native browser $(VENV)/stamp
-	cargo build --locked -p posed --bin posed --example follow
+	# With the features of the whole workspace, as the tests were built.
+	cargo build --workspace --locked --bin posed --example follow
 	$(VENV)/bin/python -m pytest -q -rs -p no:cacheprovider tests/outside
 
 $(VENV)/stamp: tests/outside/requirements.txt

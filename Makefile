@@ -38,9 +38,9 @@ test: native
 	$(MAKE) outside
 	RUSTFLAGS="--cfg loom" cargo test -p posed-signal --lib --locked --target-dir target/loom loom
 
-# posed as a browser, clients and other programs see it.
+# posed as a browser, clients and other programs see it. Built with the features of the whole
+# workspace, as the tests before.
 outside: native browser $(VENV)/stamp
-	# With the features of the whole workspace, as the tests were built.
 	cargo build --workspace --locked --bin posed --example follow
 	$(VENV)/bin/python -m pytest -q -rs -p no:cacheprovider tests/outside
 

@@ -13,6 +13,7 @@ use std::{
 use flate2::{Compression, write::ZlibEncoder};
 use glam::{DQuat, DVec3};
 use posed_signal::HostTime;
+use serde::Deserialize;
 
 use super::{
     CaptureError,
@@ -37,6 +38,9 @@ struct Device {
     name: String,
     /// Of the newest inertial sample.
     sequence: u8,
+    /// The channel of each of its sensors, by the configuration: sweeps are written by sensor,
+    /// pulses by channel.
+    channels: Vec<u8>,
 }
 
 /// Reads the text line by line.
@@ -107,6 +111,7 @@ fn packets(devices: &mut Vec<Device>, line: &str) -> Result<Vec<Packet>, BadLine
             devices.push(Device {
                 name: name.to_owned(),
                 sequence: 0,
+                channels: Vec::new(),
             });
             devices.len() - 1
         }
@@ -118,16 +123,34 @@ fn packets(devices: &mut Vec<Device>, line: &str) -> Result<Vec<Packet>, BadLine
     };
     let wire = Wire { at, port };
     if what == "CONFIG" {
+        devices[index].channels = channels(rest);
         return Ok(wire.configuration(rest));
     }
     let packet = match what {
         "IMU_SCALES" => wire.scales(rest),
         "i" => wire.imu(rest, &mut devices[index].sequence),
-        "W" => wire.sweep(rest),
+        "W" => wire.sweep(rest, &devices[index].channels),
         "Y" => wire.sync(rest),
         _ => wire.pulse(rest),
     };
     packet.map(|packet| vec![packet]).ok_or(BadLine)
+}
+
+/// The channels of a configuration's sensors; none where it has no map or cannot be read.
+fn channels(configuration: &str) -> Vec<u8> {
+    #[derive(Default, Deserialize)]
+    struct Lighthouse {
+        #[serde(rename = "channelMap", default)]
+        channel_map: Vec<u8>,
+    }
+    #[derive(Deserialize)]
+    struct Configuration {
+        #[serde(default)]
+        lighthouse_config: Lighthouse,
+    }
+    serde_json::from_str::<Configuration>(configuration)
+        .map(|configuration| configuration.lighthouse_config.channel_map)
+        .unwrap_or_default()
 }
 
 /// Makes the packets of one line.
@@ -209,11 +232,15 @@ impl Wire {
         Some(self.interrupt(IMU_ENDPOINT, report))
     }
 
-    /// `channel sensor time flag`.
-    fn sweep(&self, rest: &str) -> Option<Packet> {
+    /// `channel sensor time flag`, the first channel a base station's; `channels`: the sensors'.
+    fn sweep(&self, rest: &str, channels: &[u8]) -> Option<Packet> {
         let mut words = rest.split_ascii_whitespace();
         let channel: u8 = words.next()?.parse().ok()?;
-        let sensor: u8 = words.next()?.parse().ok().filter(|sensor| *sensor < 32)?;
+        let sensor: u8 = words.next()?.parse().ok()?;
+        let sensor = channels.get(usize::from(sensor)).copied().unwrap_or(sensor);
+        if sensor >= 32 {
+            return None;
+        }
         let ticks: u32 = words.next()?.parse().ok()?;
         self.light(
             channel,
@@ -384,6 +411,19 @@ mod tests {
                 _ => None,
             })
             .collect()
+    }
+
+    /// Sweeps are written by sensor: on the wire they carry its channel.
+    #[test]
+    fn sweeps_get_their_sensors_channel() {
+        let text = "0.100000 T20 CONFIG {\"lighthouse_config\": {\"channelMap\": [3, 9]}}\n\
+            0.200000 T20 W 7 1 5018113 0\n0.300000 T20 W 7 5 5018113 0\n";
+        let sensors: Vec<u32> = packets(text)
+            .iter()
+            .filter(|packet| packet.data[0] == 0x28)
+            .map(|packet| u32::from_le_bytes(*packet.data[3..].first_chunk().unwrap()) >> 27)
+            .collect();
+        assert_eq!(sensors, [9, 5]);
     }
 
     #[test]

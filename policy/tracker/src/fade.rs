@@ -7,7 +7,10 @@
 use glam::{Quat, Vec3};
 use posed_body::{BodyPose, JOINTS, Joint, Skeleton};
 
-use crate::geometry::min_jerk;
+use crate::{geometry::min_jerk, tracker::TrackerKind};
+
+/// Trackers take over from each other in this time, seconds.
+const TAKE_OVER_S: f32 = 0.4;
 
 /// Where something is.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -143,6 +146,46 @@ impl PoseFade {
         let head = neck.inverse() * wanted.rotation(Joint::Head);
         pose.rotations[Joint::Head as usize] = head.normalize();
         pose.root += wanted.position(Joint::Head) - joints.position(Joint::Head);
+        pose
+    }
+}
+
+/// A pose that two trackers make by turns: each fades over from what the other showed last.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct TakeOver {
+    /// The pose shown last, and who made it.
+    shown: Option<(BodyPose, TrackerKind)>,
+    fade: PoseFade,
+}
+
+impl TakeOver {
+    /// Nothing shown yet.
+    pub(crate) const NONE: Self = Self {
+        shown: None,
+        fade: PoseFade::DONE,
+    };
+
+    /// Who made the pose shown last.
+    pub(crate) fn by(&self) -> Option<TrackerKind> {
+        self.shown.map(|(_, by)| by)
+    }
+
+    /// Shows `source`, or what leads over to it from another tracker's pose.
+    pub(crate) fn show(
+        &mut self,
+        source: &BodyPose,
+        kind: TrackerKind,
+        skeleton: &Skeleton,
+        dt: f32,
+    ) -> BodyPose {
+        match self.shown {
+            Some((shown, by)) if by != kind => {
+                self.fade = PoseFade::start(&shown, source, TAKE_OVER_S);
+            }
+            _ => self.fade.advance(dt),
+        }
+        let pose = self.fade.apply(source, skeleton);
+        self.shown = Some((pose, kind));
         pose
     }
 }

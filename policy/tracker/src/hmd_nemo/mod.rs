@@ -16,7 +16,7 @@ use posed_body::{BodyPose, Skeleton};
 use posed_signal::{HostTime, Role};
 
 use crate::{
-    fade::{Place, PoseFade},
+    fade::{Place, TakeOver},
     geometry::is_human,
     ik::Ik,
     inference::{InferenceError, Runtime},
@@ -36,8 +36,6 @@ pub use refine::Energy;
 const LEAVE_S: f32 = 0.3;
 /// A returning one is where it is measured after this time, seconds.
 const RETURN_S: f32 = 0.2;
-/// Network and `ik` take over from each other in this time, seconds.
-const TAKE_OVER_S: f32 = 0.4;
 /// A network that starts from nothing while a pose is already shown settles for so long before it
 /// takes over, seconds.
 const WARM_S: f32 = 0.15;
@@ -76,9 +74,7 @@ pub struct HmdNemo {
     head: Head,
     hands: [Hand; 2],
     last: Option<HostTime>,
-    /// The pose shown last, and who made it.
-    shown: Option<(BodyPose, TrackerKind)>,
-    fade: PoseFade,
+    shown: TakeOver,
     contact: [f32; 4],
     feet: Feet,
     /// Seconds since the network started from nothing.
@@ -106,8 +102,7 @@ impl HmdNemo {
             head: Head::NEW,
             hands: [Hand::new(LEAVE_S, RETURN_S); 2],
             last: None,
-            shown: None,
-            fade: PoseFade::DONE,
+            shown: TakeOver::NONE,
             contact: [0.0; 4],
             feet: Feet::default(),
             warm_s: WARM_S,
@@ -168,7 +163,7 @@ impl Tracker for HmdNemo {
         self.feet.reset();
         self.head = Head::NEW;
         self.hands = [Hand::new(LEAVE_S, RETURN_S); 2];
-        (self.last, self.shown, self.fade) = (None, None, PoseFade::DONE);
+        (self.last, self.shown) = (None, TakeOver::NONE);
         self.warm_s = WARM_S;
     }
 
@@ -204,7 +199,9 @@ impl Tracker for HmdNemo {
         } else {
             stand_in.kind
         };
-        let pose = self.fade_over(&predicted.unwrap_or(stand_in.pose), kind, skeleton, dt);
+        let pose = self
+            .shown
+            .show(&predicted.unwrap_or(stand_in.pose), kind, skeleton, dt);
         Tracked {
             pose,
             quality: quality(state, hands),
@@ -215,30 +212,9 @@ impl Tracker for HmdNemo {
 
     /// A foot stands while its heel or its toes do.
     fn contacts(&self) -> Option<[f32; 2]> {
-        let (_, by) = self.shown?;
+        let by = self.shown.by()?;
         let [left, right, left_toe, right_toe] = self.contact;
         (by == TrackerKind::HmdNemo).then_some([left.max(left_toe), right.max(right_toe)])
-    }
-}
-
-impl HmdNemo {
-    /// Shows `source`, or what leads over to it from another tracker's pose.
-    fn fade_over(
-        &mut self,
-        source: &BodyPose,
-        kind: TrackerKind,
-        skeleton: &Skeleton,
-        dt: f32,
-    ) -> BodyPose {
-        match self.shown {
-            Some((shown, by)) if by != kind => {
-                self.fade = PoseFade::start(&shown, source, TAKE_OVER_S);
-            }
-            _ => self.fade.advance(dt),
-        }
-        let pose = self.fade.apply(source, skeleton);
-        self.shown = Some((pose, kind));
-        pose
     }
 }
 

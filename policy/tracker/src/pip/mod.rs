@@ -16,7 +16,7 @@ use posed_body::BodyPose;
 use posed_signal::{HostTime, Role};
 
 use crate::{
-    fade::PoseFade,
+    fade::TakeOver,
     geometry::is_human,
     ik::Ik,
     inference::{InferenceError, Runtime},
@@ -33,8 +33,6 @@ pub use dynamics::Physics;
 
 /// Sensors without which nothing is shown: with more missing the networks only guess.
 const SENSORS_MIN: usize = 4;
-/// Networks and `ik` take over from each other in this time, seconds.
-const TAKE_OVER_S: f32 = 0.4;
 /// A longer gap between ticks counts as this long, seconds.
 const GAP_MAX: f32 = 0.5;
 
@@ -55,9 +53,7 @@ pub struct Pip {
     /// The wearer's pose at the next tick, told beforehand.
     known: Option<BodyPose>,
     last: Option<HostTime>,
-    /// The pose shown last, and who made it.
-    shown: Option<(BodyPose, TrackerKind)>,
-    fade: PoseFade,
+    shown: TakeOver,
 }
 
 impl Pip {
@@ -79,8 +75,7 @@ impl Pip {
             ik: Ik::default(),
             known: None,
             last: None,
-            shown: None,
-            fade: PoseFade::DONE,
+            shown: TakeOver::NONE,
         })
     }
 
@@ -110,26 +105,6 @@ impl Pip {
             .filter(BodyPose::is_sound);
         (pose, heard)
     }
-
-    /// Shows `source`, or what leads over to it from another tracker's pose.
-    fn fade_over(
-        &mut self,
-        source: &BodyPose,
-        kind: TrackerKind,
-        input: &Input<'_>,
-        dt: f32,
-    ) -> BodyPose {
-        let skeleton = &input.wearer.skeleton;
-        match self.shown {
-            Some((shown, by)) if by != kind => {
-                self.fade = PoseFade::start(&shown, source, TAKE_OVER_S);
-            }
-            _ => self.fade.advance(dt),
-        }
-        let pose = self.fade.apply(source, skeleton);
-        self.shown = Some((pose, kind));
-        pose
-    }
 }
 
 /// How far to trust a pose made from so many sensors.
@@ -152,7 +127,7 @@ impl Tracker for Pip {
         self.ears = Ears::default();
         self.ik.reset();
         self.known = None;
-        (self.last, self.shown, self.fade) = (None, None, PoseFade::DONE);
+        (self.last, self.shown) = (None, TakeOver::NONE);
     }
 
     fn calibrate(&mut self, _stance: Stance) {
@@ -177,13 +152,14 @@ impl Tracker for Pip {
         self.last = Some(input.target);
         let dt = dt.clamp(0.0, GAP_MAX);
         let stand_in = self.ik.track(input);
+        let skeleton = &input.wearer.skeleton;
         let (predicted, heard) = self.predict(input);
         let Some(source) = predicted else {
-            let pose = self.fade_over(&stand_in.pose, stand_in.kind, input, dt);
+            let pose = self.shown.show(&stand_in.pose, stand_in.kind, skeleton, dt);
             return Tracked { pose, ..stand_in };
         };
         Tracked {
-            pose: self.fade_over(&source, TrackerKind::Pip, input, dt),
+            pose: self.shown.show(&source, TrackerKind::Pip, skeleton, dt),
             quality: quality(heard),
             kind: TrackerKind::Pip,
             forces: self.grid.forces(),

@@ -3,8 +3,8 @@
     python -m hmd_nemo.train --mocap DIR --out RUN --model small
 
 The learning rate warms up, stays, and decays only over the last `--decay` steps before
-`--steps`: a run whose end is not known yet is stopped at any time and finished later with
-`--decay`. Started again with the same `--out` it goes on where it stopped.
+`--steps`, or the last `--until-decay` seconds before `--until`: a run whose end is not known yet
+is stopped at any time and finished later. Started again with the same `--out` it goes on where it stopped.
 """
 
 import argparse
@@ -19,7 +19,7 @@ import torch
 
 from posed_mocap import store as stores
 
-from . import checkpoint
+from . import checkpoint, schedule
 from .workers import Workers, spawn
 from .evaluate import table
 from .lanes import Lanes
@@ -47,10 +47,7 @@ def arguments():
     parser.add_argument("--batch", type=int, default=64)
     parser.add_argument("--frames", type=int, default=40)
     parser.add_argument("--stride", type=int, default=1, help="60 Hz frames per step of the motion")
-    parser.add_argument("--rate", type=float, default=1e-3)
-    parser.add_argument("--warmup", type=int, default=200)
-    parser.add_argument("--steps", type=int, default=1_000_000)
-    parser.add_argument("--decay", type=int, default=0)
+    schedule.add_arguments(parser, rate=1e-3, warmup=200)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--workers", type=int, default=1,
                         help="processes that share each batch; on busy CPUs better than threads")
@@ -59,13 +56,6 @@ def arguments():
     parser.add_argument("--validate-every", type=int, default=400)
     parser.add_argument("--save-seconds", type=float, default=180)
     return parser.parse_args()
-
-
-def learning_rate(args, step):
-    """Warm-up, plateau, and a linear decay to zero over the last `decay` steps."""
-    warm = min(1.0, (step - args.begun + 1) / args.warmup)
-    left = (args.steps - step) / args.decay if args.decay else 1.0
-    return args.rate * warm * max(0.0, min(1.0, left))
 
 
 def to_device(sample, device):
@@ -148,7 +138,7 @@ class Run:
         if not torch.isfinite(norm):
             raise FloatingPointError(f"gradient is not finite at step {self.step}")
         for group in self.optimizer.param_groups:
-            group["lr"] = learning_rate(self.args, self.step)
+            group["lr"] = schedule.learning_rate(self.args, self.step)
         self.optimizer.step()
         self.state = state.detach()
         keep = min(AVERAGE, (1 + self.step) / (10 + self.step))
@@ -223,6 +213,7 @@ def resume(run, out):
     """Goes on from the folder's last checkpoint, or else begins from `--start`."""
     if not (out / "last.pt").exists() and run.args.start:
         run.load_state_dict(checkpoint.load(run.args.start))
+        run.best = float("inf")
     if (out / "last.pt").exists():
         run.load_state_dict(checkpoint.load(out / "last.pt"))
         lanes = out / f"lanes.{run.workers.rank}.pt"
@@ -243,10 +234,12 @@ def train(workers, args):
     stopped = []
     signal.signal(signal.SIGTERM, lambda *_: stopped.append(True))
     begun, before, saved = time.monotonic(), run.seconds, time.monotonic()
-    while run.step < args.steps:
+    ended = run.step >= args.steps
+    while not ended:
         named = run.train_step()
         run.seconds = before + time.monotonic() - begun
-        due = run.step % args.validate_every == 0 or run.step == args.steps
+        (ended,) = workers.any_of(schedule.ended(args, run.step))
+        due = run.step % args.validate_every == 0 or ended
         if first:
             log.losses(run, named)
         if validation and due:

@@ -2,8 +2,8 @@
 
     python -m pip.train --mocap DIR --out RUN --model small
 
-The learning rate warms up, stays, and decays only over the last `--decay` seconds before
-`--seconds` or steps before `--steps`: a run whose end is not known yet is stopped at any time and
+The learning rate warms up, stays, and decays only over the last `--decay` steps before `--steps`
+or the last `--until-decay` seconds before `--until`: a run whose end is not known yet is stopped at any time and
 finished later. Started again with the same `--out` it goes on where it stopped.
 """
 
@@ -16,6 +16,7 @@ from pathlib import Path
 
 import torch
 
+from hmd_nemo import schedule
 from hmd_nemo.optimizer import MuonAdamW
 from hmd_nemo.train import append
 from posed_mocap import store as stores
@@ -48,34 +49,11 @@ def arguments():
     parser.add_argument("--batch", type=int, default=64)
     parser.add_argument("--frames", type=int, default=40)
     parser.add_argument("--stride", type=int, default=1, help="60 Hz frames per step of the motion")
-    parser.add_argument("--rate", type=float, default=2e-3)
-    parser.add_argument("--warmup", type=int, default=100)
-    parser.add_argument("--steps", type=int, default=1_000_000)
-    parser.add_argument("--decay", type=int, default=0, help="steps of the decay before --steps")
-    parser.add_argument("--until", help="local time HH:MM by which the rate is to reach zero")
-    parser.add_argument("--until-decay", type=float, default=1500, help="seconds of that decay")
+    schedule.add_arguments(parser, rate=2e-3, warmup=100)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--validate-every", type=int, default=200)
     parser.add_argument("--save-seconds", type=float, default=180)
     return parser.parse_args()
-
-
-def seconds_until(clock):
-    """Seconds from now to the next HH:MM, negative for half a day after it has passed."""
-    hour, minute = map(int, clock.split(":"))
-    now = time.localtime()
-    left = (hour - now.tm_hour) * 3600 + (minute - now.tm_min) * 60 - now.tm_sec
-    return (left + 43200) % 86400 - 43200
-
-
-def learning_rate(args, step):
-    """Warm-up, plateau, and a linear decay to zero at the end."""
-    rate = args.rate * min(1.0, (step - args.begun + 1) / args.warmup)
-    if args.decay:
-        rate *= max(0.0, min(1.0, (args.steps - step) / args.decay))
-    if args.until:
-        rate *= max(0.0, min(1.0, seconds_until(args.until) / args.until_decay))
-    return rate
 
 
 class Run:
@@ -146,7 +124,7 @@ class Run:
         if not torch.isfinite(norm):
             raise FloatingPointError(f"gradient is not finite at step {self.step}")
         for group in self.optimizer.param_groups:
-            group["lr"] = learning_rate(self.args, self.step)
+            group["lr"] = schedule.learning_rate(self.args, self.step)
         self.optimizer.step()
         keep = min(AVERAGE, (1 + self.step) / (10 + self.step))
         torch._foreach_lerp_(
@@ -216,8 +194,8 @@ def train(args):
         named = run.train_step()
         run.seconds = before + time.monotonic() - begun
         log.losses(run, named)
-        ended = args.until and seconds_until(args.until) < 0
-        if run.step % args.validate_every == 0 or run.step == args.steps or ended:
+        ended = schedule.ended(args, run.step)
+        if run.step % args.validate_every == 0 or ended:
             result = run.validate(validation)
             value = score(result)
             log.validation(run, value, result)

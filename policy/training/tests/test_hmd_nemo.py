@@ -167,7 +167,7 @@ def arguments(whole_path, out, **changes):
         seed=1, store=str(whole_path), mocap=None, device="cpu", batch=4, frames=20,
         family="hmd_nemo", model="tiny", fixed_mask=False, rate=1e-2, steps=100,
         decay=0, out=str(out), threads=1, stride=1,
-        fresh_optimizer=False, warmup=5,
+        fresh_optimizer=False, warmup=5, until=None,
     )
     return SimpleNamespace(**{**values, **changes})
 

@@ -65,6 +65,17 @@ class AvatarPoser(nn.Module):
                 head[2].weight.mul_(0.1)
                 head[2].bias.copy_(torch.tensor([1.0, 0, 0, 0, 1, 0]).repeat(joints))
 
+    def last(self, window):
+        """The encoder's last token (B, width) of embedded windows (B, N, width): of its last layer
+        nothing else is computed."""
+        *layers, layer = self.encoder.layers
+        for each in layers:
+            window = each(window)
+        token = window[:, -1:]
+        seen = layer.self_attn(token, window, window, need_weights=False)[0]
+        token = layer.norm1(token + seen)
+        return layer.norm2(token + layer.linear2(layer.linear1(token).relu()))[:, 0]
+
     def initial_state(self, batch):
         width = 3 * STREAM_SIZE + 2
         return Window(next(self.parameters()).new_zeros(batch, self.config.window - 1, width))
@@ -77,7 +88,7 @@ class AvatarPoser(nn.Module):
         x = self.embed(stream).unfold(1, self.config.window, 1).transpose(-1, -2)
         if self.training:
             x = x[:, -2:]
-        last = self.encoder(x.flatten(0, 1))[:, -1].unflatten(0, x.shape[:2])
+        last = self.last(x.flatten(0, 1)).unflatten(0, x.shape[:2])
         six = torch.cat([self.orientation(last), self.body(last)], -1).unflatten(-1, (JOINTS, 6))
         out = {"six": six, "local": six_to_matrix(six)}
         return out, Window(stream[:, -(self.config.window - 1):].detach())
@@ -103,7 +114,7 @@ class WindowStep(nn.Module):
         now = torch.cat([features[:, :3].flatten(1), visible], -1).unsqueeze(1)
         kept = pose.unflatten(-1, (model.config.window - 1, 3 * STREAM_SIZE + 2))
         window = torch.cat([reset * now + (1 - reset) * kept, now], 1)
-        last = model.encoder(model.embed(window))[:, -1]
+        last = model.last(model.embed(window))
         six = torch.cat([model.orientation(last), model.body(last)], -1)
         local = six_to_matrix(six.unflatten(-1, (JOINTS, 6)))
         none = visible[:, :1] * 0

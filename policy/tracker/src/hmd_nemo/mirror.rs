@@ -8,7 +8,7 @@ use posed_body::JOINTS;
 
 use super::{
     features::{Builder, STREAM},
-    network::{Answer, Step},
+    network::{Answer, Memory, Step},
 };
 
 /// Joint order with left and right exchanged.
@@ -61,15 +61,20 @@ fn mean(a: &Answer, b: &Answer) -> Answer {
     }
 }
 
-/// A network and, if wanted, a second of the same that sees the mirror image.
+/// A network with its memory and, if wanted, that of the mirror image.
 pub(super) struct Pair {
-    plain: Step,
-    mirrored: Option<Step>,
+    step: Step,
+    plain: Memory,
+    mirrored: Option<Memory>,
 }
 
 impl Pair {
-    pub(super) fn new(plain: Step, mirrored: Option<Step>) -> Self {
-        Self { plain, mirrored }
+    pub(super) fn new(mut step: Step, mirror: bool) -> Self {
+        Self {
+            plain: step.memory(),
+            mirrored: mirror.then(|| step.memory()),
+            step,
+        }
     }
 
     /// Drops the memory before the next step.
@@ -82,11 +87,12 @@ impl Pair {
 
     /// One step. `None` when an inference fails; all memory is then dropped.
     pub(super) fn run(&mut self, features: &Builder<'_>, visible: [bool; 2]) -> Option<Answer> {
-        let plain = self.plain.run(features, visible);
+        let plain = self.step.run(&mut self.plain, features, visible);
         let Some(mirrored) = &mut self.mirrored else {
             return plain;
         };
-        let both = plain.zip(mirrored.run_mirrored(features, visible));
+        let mirrored = plain.and_then(|_| self.step.run_mirrored(mirrored, features, visible));
+        let both = plain.zip(mirrored);
         if both.is_none() {
             self.reset();
         }

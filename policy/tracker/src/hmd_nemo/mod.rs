@@ -92,10 +92,9 @@ impl HmdNemo {
         bytes: &[u8],
         options: Options,
     ) -> Result<Self, InferenceError> {
-        let step = || Step::load(runtime, name, bytes);
-        let mirrored = options.mirror.then(step).transpose()?;
+        let step = Step::load(runtime, name, bytes)?;
         Ok(Self {
-            network: Pair::new(step()?, mirrored),
+            network: Pair::new(step, options.mirror),
             grid: Grid::default(),
             options,
             ik: Ik::default(),

@@ -59,6 +59,7 @@ fn close(name: &str, frame: usize, found: &[f32], wanted: &[f32], bound: f32) {
 fn replay(model: &[u8], golden: &str) {
     let golden: Golden = serde_json::from_str(golden).unwrap();
     let mut network = Step::load(&shared_runtime(), "golden", model).unwrap();
+    let mut memory = network.memory();
     let mut before = None;
     for frame in 0..golden.frames {
         let seen = golden.seen(frame);
@@ -81,7 +82,7 @@ fn replay(model: &[u8], golden: &str) {
             2e-3,
         );
         let visible = seen.hands.map(|hand| hand.is_some());
-        let answer = network.run(&builder, visible).unwrap();
+        let answer = network.run(&mut memory, &builder, visible).unwrap();
         let heading = Quat::from_rotation_y(builder.yaw());
         for joint in 0..22 {
             let wanted = Quat::from_slice(&golden.rotation[(22 * frame + joint) * 4..]);

@@ -14,6 +14,7 @@
 mod balance;
 mod feet;
 mod position;
+mod reduced;
 mod rotation;
 
 use glam::{DVec3, Quat, Vec3};
@@ -146,8 +147,18 @@ metrics! {
     RootPosition "root_position_cm" "cm",
     /// Angle between the pelvises' rotations.
     RootRotation "root_rotation_deg" "deg",
-    /// Mean angle between the world rotations of hips and shoulders (TransPose, PIP).
+    /// Mean angle between the world rotations of hips and shoulders (TransPose, PIP), the root's
+    /// error with them.
     Sip "sip_deg" "deg",
+    /// The same without the root's own rotation, which PIP's sensor tells and its evaluation leaves
+    /// out: pelvis, ankles, toes and wrists do not turn in either motion.
+    PipSip "pip_sip_deg" "deg",
+    /// PIP's angle error: mean angle between world rotations after the same, over SMPL's 24 joints;
+    /// the hands, which posed lacks, count as what they hang on.
+    PipAngle "pip_angle_deg" "deg",
+    /// PIP's joint error: mean distance from the pelvis's joint on, after the same, over all 22
+    /// joints.
+    PipJoint "pip_joint_cm" "cm",
     /// Mean length of the third difference of the predicted positions in the world (PIP's absolute
     /// jitter). Compare it with the truth's.
     Jitter "jitter_km_s3" "km/s3",
@@ -265,6 +276,11 @@ impl Pair<'_> {
             Metric::RootPosition => position::mean_error(self, Align::World, &[Joint::Pelvis]),
             Metric::RootRotation => rotation::world_geodesic(self, &[Joint::Pelvis]),
             Metric::Sip => rotation::world_geodesic(self, &rotation::SIP),
+            Metric::PipSip => {
+                reduced::angle_error(self, &rotation::SIP.map(|joint| joint as usize))
+            }
+            Metric::PipAngle => reduced::angle_error(self, &reduced::SMPL),
+            Metric::PipJoint => reduced::joint_error(self),
             Metric::Jitter => position::jitter(self.p, self.frames),
             Metric::TrueJitter => position::jitter(self.t, self.frames),
             Metric::Mhpe => position::mean_error(self, Align::World, &position::TRACKED),

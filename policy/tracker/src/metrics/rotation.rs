@@ -16,7 +16,7 @@ pub(super) const SIP: [Joint; 4] = [
 ];
 
 /// Angle between two rotations, radians; accurate near zero and near a half turn.
-fn angle(a: Quat, b: Quat) -> f64 {
+pub(super) fn angle(a: Quat, b: Quat) -> f64 {
     let turn = a.as_dquat().normalize().inverse() * b.as_dquat().normalize();
     2.0 * DVec3::new(turn.x, turn.y, turn.z)
         .length()

@@ -138,9 +138,26 @@ def zmp(p, rotation, parts):
     return float(np.mean(out))
 
 
+def pip_reduced(p, local):
+    """PIP's evaluate.py: joints [0, 7, 8, 10, 11, 20, 21] (and the hands) set to the identity, then
+    forward kinematics with the motion's own bones, the pelvis at the origin."""
+    turned = world(local)
+    still = local.copy()
+    still[:, [0, 7, 8, 10, 11, 20, 21]] = np.eye(3)
+    still = world(still)
+    places = np.zeros_like(p)
+    for j in range(1, 22):
+        a = PARENTS[j]
+        bone = np.swapaxes(turned[:, a], -1, -2) @ (p[:, j] - p[:, a])[..., None]
+        places[:, j] = places[:, a] + (still[:, a] @ bone)[..., 0]
+    # Hands go on as the wrists: 24 joints.
+    return still[:, list(range(22)) + [20, 21]], places
+
+
 def measure(p, q, t, qt, parts):
     lp, lt = matrices(q), matrices(qt)
     wp, wt = world(lp), world(lt)
+    (rp, pp), (rt, pt) = pip_reduced(p, lp), pip_reduced(t, lt)
     head = p - p[:, 15:16] + t[:, 15:16]
     root = p - p[:, :1] + t[:, :1]
     difference = rotvec(lp[:, 1:]) - rotvec(lt[:, 1:])
@@ -168,6 +185,9 @@ def measure(p, q, t, qt, parts):
         "root_position_cm": 100 * norm(p[:, 0] - t[:, 0]).mean(),
         "root_rotation_deg": angle(wp[:, 0], wt[:, 0]).mean(),
         "sip_deg": angle(wp[:, [1, 2, 16, 17]], wt[:, [1, 2, 16, 17]]).mean(),
+        "pip_sip_deg": angle(rp[:, [1, 2, 16, 17]], rt[:, [1, 2, 16, 17]]).mean(),
+        "pip_angle_deg": angle(rp, rt).mean(),
+        "pip_joint_cm": 100 * norm(pp - pt).mean(),
         "jitter_km_s3": jitter(p),
         "true_jitter_km_s3": jitter(t),
         "mhpe_cm": 100 * norm(p - t)[:, [15, 20, 21]].mean(),

@@ -7,7 +7,6 @@ use glam::{Quat, Vec3};
 use posed::{
     assemble::{Assembly, Options, assemble},
     commands::demo::{options, replay},
-    models::Models,
     pipeline::source::Taken,
 };
 use posed_device::transport::Event;
@@ -17,6 +16,7 @@ use serde_json::Value;
 
 use crate::{
     allocation::armed,
+    shared::models,
     stage::{Run, quantile},
 };
 
@@ -103,8 +103,7 @@ fn the_tracker_loop_does_not_allocate() {
     ticks_without_allocating(options().expect("embedded"));
     // ONNX Runtime allocates in C++, out of this allocator's sight; the rest of the tracker is
     // Rust.
-    let models = Models::load().expect("ONNX Runtime is fetched by make native");
-    let tracker = models
+    let tracker = models()
         .tracker(TrackerKind::HmdNemo)
         .expect("the model fits")
         .expect("built in");

@@ -4,6 +4,8 @@ mod allocation;
 mod captures;
 mod demo;
 mod layering;
+mod naming;
+mod pip;
 mod shared;
 mod stage;
 mod tidy;

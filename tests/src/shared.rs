@@ -1,6 +1,11 @@
-//! Where the shared captures and motion lie.
+//! What several tests need: the models, and where the shared captures and motion lie.
 
-use std::path::{Path, PathBuf};
+use std::{
+    path::{Path, PathBuf},
+    sync::OnceLock,
+};
+
+use posed::models::Models;
 
 /// The repository's root.
 pub(crate) fn root() -> PathBuf {
@@ -22,4 +27,10 @@ pub(crate) fn shared(relative: &str) -> Option<PathBuf> {
     }
     println!("SKIPPED (needs shared data): {relative}");
     None
+}
+
+/// The built-in models; a process can load them once only.
+pub(crate) fn models() -> &'static Models {
+    static MODELS: OnceLock<Models> = OnceLock::new();
+    MODELS.get_or_init(|| Models::load().expect("ONNX Runtime is fetched by make native"))
 }

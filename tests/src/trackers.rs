@@ -26,7 +26,7 @@ use posed_device::{
 use posed_signal::{DeviceId, HostTime, Lookup, Orientation, Role, Sample, Serial, ring::Producer};
 use posed_tracker::{Ik, Input, Tracked, Tracker, TrackerKind, worn::Stance};
 
-const WORN: [(Role, Joint); 6] = [
+pub(crate) const WORN: [(Role, Joint); 6] = [
     (Role::Waist, Joint::Pelvis),
     (Role::LeftKnee, Joint::LeftKnee),
     (Role::RightKnee, Joint::RightKnee),
@@ -34,7 +34,7 @@ const WORN: [(Role, Joint); 6] = [
     (Role::RightWrist, Joint::RightElbow),
     (Role::Head, Joint::Head),
 ];
-const PORT: Port = Port { bus: 1, address: 7 };
+pub(crate) const PORT: Port = Port { bus: 1, address: 7 };
 const SECONDS: f64 = 40.0;
 
 type Heard = Arc<Mutex<Vec<(HostTime, [Lookup<Orientation>; Role::COUNT])>>>;
@@ -56,12 +56,23 @@ impl Tracker for Listener {
     }
 }
 
-/// Holds the three postures when the wearer does.
-struct Calibrating {
+/// Holds the three postures when the wearer does, and keeps the poses.
+pub(crate) struct Calibrating {
     requests: Producer<Request>,
     start: Option<HostTime>,
     asked: usize,
-    last: Option<PublishedPose>,
+    pub(crate) poses: Vec<PublishedPose>,
+}
+
+impl Calibrating {
+    pub(crate) fn new(requests: Producer<Request>) -> Self {
+        Self {
+            requests,
+            start: None,
+            asked: 0,
+            poses: Vec::new(),
+        }
+    }
 }
 
 impl Watcher for Calibrating {
@@ -79,7 +90,7 @@ impl Watcher for Calibrating {
     fn sample(&mut self, _device: DeviceId, _sample: &Sample) {}
 
     fn pose(&mut self, pose: &PublishedPose, _source: &Source) {
-        self.last = Some(*pose);
+        self.poses.push(*pose);
     }
 
     fn warning(&mut self, text: &str) {
@@ -105,7 +116,7 @@ fn packets(person: &Person, loss: f64) -> impl Iterator<Item = Packet> {
     slimevr::Receiver::new(options, PORT, trackers).expect("six trackers are not too many")
 }
 
-fn usbmon(packets: impl Iterator<Item = Packet>) -> Vec<u8> {
+pub(crate) fn usbmon(packets: impl Iterator<Item = Packet>) -> Vec<u8> {
     let mut writer = UsbmonWriter::new(Vec::new(), UsbmonOptions::default()).expect("a Vec");
     packets.for_each(|packet| writer.packet(&packet).expect("a Vec takes everything"));
     writer.finish().expect("a Vec")
@@ -130,12 +141,7 @@ fn run(capture: Vec<u8>, trajectory: &Trajectory, person: &Person) -> Run {
         .collect();
     let transport = Replay::new(vec![recording], Merge::OneSession);
     let mut parts = assemble(Box::new(transport), options);
-    let mut watcher = Calibrating {
-        requests: parts.requests,
-        start: None,
-        asked: 0,
-        last: None,
-    };
+    let mut watcher = Calibrating::new(parts.requests);
     replay(&mut parts.source, &mut parts.tracker, 60.0, &mut watcher);
     let start = slimevr::Options::default().start;
     let heard = heard.lock().expect("nobody panicked");
@@ -173,7 +179,7 @@ fn run(capture: Vec<u8>, trajectory: &Trajectory, person: &Person) -> Run {
         errors,
         lost: radio(|radio| radio.lost),
         received: radio(|radio| radio.received),
-        calibrated: watcher.last.expect("poses came").worn.calibrated,
+        calibrated: watcher.poses.last().expect("poses came").worn.calibrated,
     }
 }
 

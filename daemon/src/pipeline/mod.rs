@@ -2,6 +2,7 @@
 
 pub mod latency;
 pub mod live;
+mod naming;
 pub mod playback;
 pub mod replay;
 pub mod source;

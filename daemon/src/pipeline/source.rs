@@ -6,7 +6,7 @@ use posed_device::{
 };
 use posed_signal::{HostTime, Role, device::DEVICES_MAX, latest::Writer, time::MILLISECOND_NS};
 
-use super::tracking::RoleTable;
+use super::{naming::Unnamed, tracking::RoleTable};
 
 /// Decoders are ticked this often: start-up requests and keep-alives hang on it.
 const RIG_TICK_NS: i64 = 50 * MILLISECOND_NS as i64;
@@ -33,6 +33,9 @@ pub struct Source {
     next_tick: HostTime,
     commands: Vec<(posed_device::usb::Port, posed_device::decode::Command)>,
     refused: u64,
+    unnamed: Unnamed,
+    /// What people should know, to be told with the next event.
+    notice: Option<String>,
 }
 
 impl Source {
@@ -47,6 +50,8 @@ impl Source {
             next_tick: HostTime(0),
             commands: Vec::new(),
             refused: 0,
+            unnamed: Unnamed::default(),
+            notice: None,
         }
     }
 
@@ -87,7 +92,10 @@ impl Source {
             Event::End => Taken::End,
         };
         self.publish_roles();
-        taken
+        match taken {
+            Taken::Something | Taken::Nothing => self.notice.take().map_or(taken, Taken::Warning),
+            Taken::Warning(_) | Taken::End => taken,
+        }
     }
 
     /// To be called often with the present time: sends what the decoders want sent.
@@ -102,6 +110,9 @@ impl Source {
                 self.refused += 1;
                 tracing::debug!(%error, %port, "a command was not sent");
             }
+        }
+        if let Some(notice) = self.unnamed.tick(now, &mut self.rig) {
+            self.notice = Some(notice);
         }
         self.publish_roles();
     }

@@ -201,6 +201,18 @@ impl Rig {
         self.table.devices()
     }
 
+    /// Devices that are there, have a serial number, and of which neither they themselves nor the
+    /// user have said what they stand for.
+    pub fn unassigned(&self) -> impl Iterator<Item = &DeviceInfo> {
+        self.table.unassigned()
+    }
+
+    /// Gives the device of a serial number its role, until the rig's end: the same as a role in
+    /// [`Settings`], which it replaces.
+    pub fn assign(&mut self, serial: Serial, role: Role) {
+        self.table.assign(serial, role);
+    }
+
     /// Goes up whenever a device comes or goes, or an identity or a role changes.
     #[must_use]
     pub fn revision(&self) -> u64 {

@@ -165,6 +165,26 @@ impl Table {
         self.changed();
     }
 
+    /// Devices that are there, have a serial number, and of which neither they themselves nor the
+    /// user have said what they stand for.
+    pub(super) fn unassigned(&self) -> impl Iterator<Item = &DeviceInfo> {
+        let given = |serial: Serial| self.given.iter().any(|(given, _)| *given == serial);
+        self.devices.iter().filter(move |device| {
+            let (identity, silent) = (&device.identity, Serial::default());
+            device.connected
+                && identity.natural_role == Role::None
+                && identity.serial != silent
+                && !given(identity.serial)
+        })
+    }
+
+    /// Gives a device its role, as if the user had done so.
+    pub(super) fn assign(&mut self, serial: Serial, role: Role) {
+        self.given.retain(|(given, _)| *given != serial);
+        self.given.push((serial, role));
+        self.changed();
+    }
+
     fn device(&self, id: DeviceId) -> &DeviceInfo {
         &self.devices[usize::from(id.0)]
     }

@@ -8,6 +8,7 @@
 mod fit;
 mod fitting;
 mod heading;
+pub mod naming;
 
 pub use fit::{Fit, Stance, Stances, conventional};
 pub use fitting::{Fitting, Phase, Report};

@@ -1,4 +1,5 @@
-//! What a frame of HMD-NeMo costs: network, refinement, physics, at 60 and 90 ticks a second.
+//! What a frame of HMD-NeMo costs: network, refinement, physics, at 60 and 90 ticks a second; and one
+//! of PIP: networks, and optimiser.
 //!
 //! Prints medians, 99th percentiles and maxima over the built-in human's forty seconds, three times
 //! over, for every model in policy/models.
@@ -8,10 +9,11 @@ use std::{path::Path, time::Instant};
 use posed_body::motion::{Clip, Trajectory, procedural};
 use posed_signal::{HostTime, Lookup, Pose, Role};
 use posed_tracker::{
-    HmdNemo, Input, Physical, Tracker, Wearer,
+    HmdNemo, Input, Physical, Pip, Tracker, TrackerKind, Wearer,
     eval::{Sensors, Shown, Straps},
     hmd_nemo::Options,
     inference::Runtime,
+    pip,
     tracker::NO_INERTIAL,
 };
 
@@ -51,11 +53,31 @@ fn main() {
             report("+ physics", &mut physical, &clip, rate);
         }
     }
+    for name in ["pip_small", "pip_full"] {
+        let Ok(model) = std::fs::read(folder.join(format!("{name}.onnx"))) else {
+            continue;
+        };
+        for rate in [60.0, 90.0] {
+            println!("{name}, {rate} Hz");
+            for (what, physics) in [
+                ("networks", pip::Physics::Off),
+                ("+ optimiser", pip::Physics::DualPd),
+            ] {
+                let options = pip::Options { physics };
+                let loaded = Pip::load(&runtime, name, &model, options);
+                report(what, &mut loaded.expect("the model fits"), &clip, rate);
+            }
+        }
+    }
 }
 
 fn report(what: &str, tracker: &mut dyn Tracker, clip: &Clip, rate: f64) {
     let trajectory = Trajectory::new(clip);
-    let shown = Shown::new(&trajectory, clip, Sensors::HmdControllers, Straps::Exact);
+    let sensors = match tracker.kind() {
+        TrackerKind::Pip => Sensors::Imu6,
+        _ => Sensors::HmdControllers,
+    };
+    let mut shown = Shown::new(&trajectory, clip, sensors, Straps::Exact);
     let wearer = Wearer {
         height: clip.skeleton.stature(),
         skeleton: clip.skeleton,
@@ -66,15 +88,19 @@ fn report(what: &str, tracker: &mut dyn Tracker, clip: &Clip, rate: f64) {
         let seconds = frame as f64 / rate;
         let target = HostTime::from_secs_f64(1.0 + costs.len() as f64 / rate);
         let mut parts: [Lookup<Pose>; Role::COUNT] = [Lookup::Empty; Role::COUNT];
+        let mut inertial = NO_INERTIAL;
         for role in Role::ALL {
             if let Some(pose) = shown.pose(role, seconds, target) {
                 parts[role as usize] = Lookup::Exact(pose);
+            }
+            if let Some(orientation) = shown.orientation(role, seconds, target) {
+                inertial[role as usize] = Lookup::Exact(orientation);
             }
         }
         let input = Input {
             target,
             parts: &parts,
-            inertial: &NO_INERTIAL,
+            inertial: &inertial,
             wearer: &wearer,
         };
         let begun = Instant::now();

@@ -5,7 +5,7 @@
 //!
 //! Without `--stations` they are found from the light, and compared with those in `--compare`,
 //! both files being libsurvive's JSON. `--truth` is what `posed simulate` writes
-//! beside a capture, `--rec` a recording of libsurvive's whose `EXTERNAL_POSE` lines of a device
+//! beside a capture, `--rec` a recording of libsurvive's whose pose lines of a device
 //! are compared with.
 
 use std::{
@@ -177,7 +177,8 @@ fn apart(a: &PlaneCalibration, b: &PlaneCalibration) -> f64 {
 
 /// Base stations found beside those of a file, pair by pair.
 fn compare(found: &[BaseStation], file: &[BaseStation]) {
-    let of_file = |station: &BaseStation| file.iter().find(|other| other.source == station.source);
+    // By serial number: what flashes first need not be what a file has first.
+    let of_file = |station: &BaseStation| file.iter().find(|other| other.id == station.id);
     for (index, a) in found.iter().enumerate() {
         let Some(file_a) = of_file(a) else {
             println!("  {}: not in the file", a.source);
@@ -197,12 +198,13 @@ fn compare(found: &[BaseStation], file: &[BaseStation]) {
             };
             let ((place, turn), (file_place, file_turn)) = (there(a, b), there(file_a, file_b));
             println!(
-                "  {} from {}: {:.1} mm, {:.3} degrees off the file's, {:.2} m apart",
+                "  {} from {}: {:.1} mm, {:.3} degrees off the file's; {:.3} m apart, in the file {:.3}",
                 b.source,
                 a.source,
                 1e3 * (place - file_place).length(),
                 turn.angle_between(file_turn).to_degrees(),
                 place.length(),
+                file_place.length(),
             );
         }
     }
@@ -332,7 +334,7 @@ fn survive(path: &str, name: &str) -> Fallible<Reference> {
         .map_while(Result::ok)
     {
         let words: Vec<&str> = line.split_whitespace().collect();
-        let [time, device, "EXTERNAL_POSE", numbers @ ..] = &words[..] else {
+        let [time, device, "EXTERNAL_POSE" | "POSE", numbers @ ..] = &words[..] else {
             continue;
         };
         if *device != name {

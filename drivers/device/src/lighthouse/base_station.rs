@@ -151,6 +151,9 @@ pub fn from_z_up() -> DQuat {
     DQuat::from_rotation_x(-std::f64::consts::FRAC_PI_2)
 }
 
+/// How a station of generation 1 that is set to b says so.
+const MODE_B: u8 = 1;
+
 /// Reads the file in which libsurvive keeps its base stations: JSON without outer braces and
 /// without commas between objects, numbers in quotes. Entries whose position or calibration is
 /// not set are left out.
@@ -174,7 +177,9 @@ pub fn parse_libsurvive(text: &str) -> Result<Vec<BaseStation>, BaseStationError
     }
     stations.sort_by_key(|station: &BaseStation| station.source);
     if generation == Generation::One {
-        // A flashes before b, and b before c. A lone b may be either; its broadcast will tell.
+        // Captures have b flash first, beside A and beside c. A lone one may be either; its broadcast
+        // will tell.
+        stations.sort_by_key(|station| station.source != Source::Slot(MODE_B));
         for (rank, station) in stations.iter_mut().enumerate() {
             let lone_c = station.source == Source::Slot(2);
             station.source = Source::Slot(u8::from(rank > 0 || lone_c));

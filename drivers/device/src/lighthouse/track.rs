@@ -22,16 +22,22 @@ use super::{
     solve::{Problem, Sighting},
 };
 
-/// Inertial samples kept: 128 ms of a headset's.
-const SAMPLES_MAX: usize = 128;
+/// Inertial samples kept: 256 ms of a headset's.
+const SAMPLES_MAX: usize = 256;
 /// Sightings kept for solving.
 const SIGHTINGS_MAX: usize = 256;
 /// Solutions look back over this time, s: three revolutions of a rotor.
 const WINDOW: f64 = 0.06;
 /// After a search without success, the next one waits this long, s.
 const SEARCH_INTERVAL: f64 = 0.1;
-/// Without any light, the filter stays this far behind the newest inertial sample, s.
+/// Without any light, the filter stays this far behind the newest inertial sample, s; more where
+/// light has been coming later than that, as it does where a host cannot keep up with its devices.
 const HORIZON: f64 = 0.03;
+const HORIZON_MAX: f64 = 0.13;
+/// Light is taken to come this much later than it has come, s; what is known about that fades at
+/// this rate, s/s.
+const DELAY_MARGIN: f64 = 0.015;
+const DELAY_FADES: f64 = 0.01;
 /// Light older than the filter by more than this is too late for it, s.
 const LATE: f64 = 0.008;
 /// A pose is an optical one while the light it rests on is no older than this, s.
@@ -49,9 +55,16 @@ const FITTING: f64 = 0.35;
 /// Weight of a sweep in the running figures.
 const RUNNING: f64 = 0.01;
 /// A device is held still while it turns and is pushed by no more than this, rad/s and m/s^2, and
-/// moves by no more than this, m/s.
+/// moves by no more than this, m/s; a tracked one moves calmly up to the second limits.
 const STILL: (f64, f64) = (0.2, 0.4);
-const SLOW: f64 = 0.3;
+const CALM: (f64, f64) = (1.5, 3.0);
+const SLOW: (f64, f64) = (0.3, 1.2);
+/// Standard deviation of what a snapshot's accelerometer says of up: what factory calibrations leave
+/// in captures, rad, and what is added for each rad/s and m/s at which a body moves, that then is
+/// likely to be pushed as well.
+const UP_SIGMA: (f64, f64, f64) = (0.004, 0.2, 0.3);
+/// The filter's state stands for the moment of a snapshot up to this far from it, s.
+const AHEAD: f64 = 2e-3;
 /// After so long without being found in plenty of light, base stations are doubted, s; and one that
 /// disagrees with the others for so long has moved, s.
 const ASTRAY: f64 = 1.5;
@@ -93,6 +106,8 @@ pub(super) struct Track {
     astray: Option<f64>,
     /// A station that disagrees with the others, and since when.
     suspect: Option<(usize, f64)>,
+    /// How much later than the inertial samples of its time light comes at worst, s.
+    delay: f64,
 }
 
 impl Track {
@@ -107,7 +122,13 @@ impl Track {
             search_after: f64::NEG_INFINITY,
             astray: None,
             suspect: None,
+            delay: 0.0,
         }
+    }
+
+    /// How far behind the newest inertial sample light has to be waited for, s.
+    fn horizon(&self) -> f64 {
+        (self.delay + DELAY_MARGIN).clamp(HORIZON, HORIZON_MAX)
     }
 
     pub(super) fn model(&self) -> &DeviceModel {
@@ -142,11 +163,16 @@ impl Track {
         self.astray = None;
     }
 
+    /// How old light may be that an optical pose rests on, s.
+    fn optical_for(&self) -> f64 {
+        OPTICAL + self.horizon() - HORIZON
+    }
+
     /// The IMU's frame in the world at the newest light, while the device is tracked.
     fn optical(&self) -> Option<(&Filter, f64)> {
         let tracking = self.tracking.as_ref()?;
         let newest = self.samples.back()?.time;
-        let sound = newest - tracking.light < OPTICAL && tracking.fitting > FITTING;
+        let sound = newest - tracking.light < self.optical_for() && tracking.fitting > FITTING;
         sound.then_some((&tracking.filter, tracking.light))
     }
 
@@ -163,7 +189,7 @@ impl Track {
         Some((head, filter.unbiased(self.samples.back()?).gyro.length()))
     }
 
-    /// What the device sees, if it has been held still for a moment.
+    /// What the device sees, if it is tracked and moves calmly, or has been held still for a moment.
     pub(super) fn snapshot(&self) -> Option<Snapshot> {
         let newest = self
             .sightings
@@ -173,9 +199,9 @@ impl Track {
         let begin = newest - WINDOW;
         let first = self.samples.partition_point(|sample| sample.time < begin);
         let end = self.samples.partition_point(|sample| sample.time <= newest);
-        let tracked = self.optical();
-        let unbiased = |sample: &ImuSample| match tracked {
-            Some((filter, _)) => filter.unbiased(sample),
+        let filter = self.optical().map(|(filter, _)| filter);
+        let unbiased = |sample: &ImuSample| match filter {
+            Some(filter) => filter.unbiased(sample),
             None => *sample,
         };
         let samples: Vec<ImuSample> = self
@@ -184,22 +210,41 @@ impl Track {
             .map(unbiased)
             .collect();
         let last = samples.last()?;
-        let still = |sample: &ImuSample| {
-            !sample.clipped
-                && sample.gyro.length() < STILL.0
-                && (sample.accel.length() - GRAVITY).abs() < STILL.1
+        let within = |(turn, push): (f64, f64)| {
+            let calm = |sample: &ImuSample| {
+                !sample.clipped
+                    && sample.gyro.length() < turn
+                    && (sample.accel.length() - GRAVITY).abs() < push
+            };
+            samples.iter().all(calm)
         };
-        if last.time - samples[0].time < 0.7 * WINDOW || !samples.iter().all(still) {
+        let still = within(STILL);
+        let allowed = still || (filter.is_some() && within(CALM));
+        if last.time - samples[0].time < 0.7 * WINDOW || !allowed {
             return None;
         }
         let motion = RelativeMotion::backwards(samples.iter(), begin);
         let force = mean_force(&samples, &motion, begin);
-        // Without acceleration, what falls is held by the force.
-        let drift = match tracked {
-            Some((filter, _)) => filter.nominal.rotation.conjugate() * filter.nominal.velocity,
-            None => DVec3::ZERO,
-        };
-        if drift.length() > SLOW {
+        let (mut pose, mut drift, mut fall) = (None, DVec3::ZERO, -force);
+        if let Some(filter) = filter {
+            let ahead = last.time - filter.time;
+            if ahead.abs() > AHEAD {
+                return None;
+            }
+            let Nominal {
+                position,
+                velocity,
+                rotation,
+            } = filter.nominal;
+            let back = rotation.conjugate();
+            (drift, fall) = (back * velocity, back * filter.gravity());
+            pose = Some(Frame {
+                position: position + ahead * velocity,
+                rotation,
+            });
+        }
+        let slow = drift.length() < if still { SLOW.0 } else { SLOW.1 };
+        if !slow {
             return None;
         }
         let glimpse = |seen: &Sighting| {
@@ -209,24 +254,25 @@ impl Track {
                 .get(usize::from(seen.sensor))
                 .copied()??;
             let step = motion.at(seen.time)?;
-            let shift = step.shift - 0.5 * step.tau * step.tau * force + step.tau * drift;
+            let shift = step.shift + 0.5 * step.tau * step.tau * fall + step.tau * drift;
             Some(Glimpse {
                 source: Source::from_index(usize::from(seen.station))?,
                 plane: seen.plane,
                 sensor: seen.sensor,
                 angle: seen.angle,
                 arm: shift + step.turn * sensor.position,
+                tau: step.tau,
             })
         };
         let recent = self.sightings.iter().filter(|seen| seen.time >= begin);
-        // The filter's pose is that of a few milliseconds earlier or later: the device is still.
-        let pose = tracked.map(|(filter, _)| Frame {
-            position: filter.nominal.position + (last.time - filter.time) * filter.nominal.velocity,
-            rotation: filter.nominal.rotation,
-        });
+        // The filter's bias would tell again what the room is level by now: it is left in.
+        let up = force + filter.map_or(DVec3::ZERO, |filter| filter.accel_bias);
+        let turning = samples.iter().map(|sample| sample.gyro.length()).sum::<f64>();
+        let turning = turning / samples.len() as f64;
         Some(Snapshot {
             model: Arc::clone(&self.model),
-            up: force.try_normalize()?,
+            up: up.try_normalize()?,
+            up_sigma: UP_SIGMA.0 + UP_SIGMA.1 * turning + UP_SIGMA.2 * drift.length(),
             pose,
             glimpses: recent.filter_map(glimpse).collect(),
         })
@@ -286,6 +332,7 @@ impl Track {
             } else if step <= 0.0 {
                 return;
             }
+            self.delay = (self.delay - DELAY_FADES * step.abs()).max(0.0);
         }
         if self.samples.len() == SAMPLES_MAX {
             self.samples.pop_front();
@@ -309,9 +356,11 @@ impl Track {
             .back()
             .map_or(f64::NEG_INFINITY, |sample| sample.time);
         // Light from a future far off, or long past, is not this device's present.
-        if (seen.time - newest).abs() > 2.0 * WINDOW {
+        let late = newest - seen.time;
+        if late.abs() > HORIZON_MAX {
             return;
         }
+        self.delay = self.delay.max(late);
         if seen.time <= newest {
             self.light(&seen);
         } else if self.waiting.len() < SIGHTINGS_MAX {
@@ -340,7 +389,7 @@ impl Track {
         let gyro = filter.unbiased(newest).gyro;
         let dark = newest.time - tracking.light;
         let how = match dark {
-            dark if dark <= OPTICAL => PoseHow::Optical,
+            dark if dark <= self.optical_for() => PoseHow::Optical,
             dark if dark <= LOST => PoseHow::Inertial,
             _ => PoseHow::Lost,
         };
@@ -398,11 +447,12 @@ impl Track {
 
     /// Moves the filter on where no light does.
     fn coast(&mut self, now: f64) {
+        let horizon = self.horizon();
         let Some(tracking) = &mut self.tracking else {
             return;
         };
         let before = tracking.filter.time;
-        advance(&mut tracking.filter, &self.samples, now - HORIZON);
+        advance(&mut tracking.filter, &self.samples, now - horizon);
         if now - tracking.light > COAST {
             let share = (10.0 * (tracking.filter.time - before)).clamp(0.0, 1.0);
             tracking.filter.brake(share);
@@ -421,10 +471,11 @@ impl Track {
         if trusted || now < self.search_after {
             return;
         }
+        let horizon = self.horizon();
         while self
             .sightings
             .front()
-            .is_some_and(|seen| seen.time < now - WINDOW - HORIZON)
+            .is_some_and(|seen| seen.time < now - WINDOW - horizon)
         {
             self.sightings.pop_front();
         }

@@ -16,10 +16,13 @@ use glam::DVec3;
 /// Residuals beyond this weigh less and less, rad; it narrows on the way.
 const SOFT: [f64; 3] = [2e-2, 4e-3, 1e-3];
 const ROUNDS: usize = 12;
-/// Standard deviation of a reading, rad: noise, and what calibration leaves.
-const SIGMA: f64 = 3e-4;
-/// Standard deviation of what a still device's accelerometer says of up, rad.
-const UP_SIGMA: f64 = 0.01;
+/// Standard deviation of a reading, rad: what calibration leaves of it is larger than its noise, and
+/// repeats within a snapshot.
+const SIGMA: f64 = 6e-4;
+/// Standard deviation of what the velocity of a snapshot is off, m/s.
+const OFF_SIGMA: f64 = 0.03;
+/// Unknowns of a snapshot: position, rotation, and what its velocity is off.
+const OWN: usize = 9;
 /// Readings that deviate by more than this are not counted in the result, rad.
 const FIT: f64 = 4e-3;
 
@@ -28,13 +31,15 @@ const FIT: f64 = 4e-3;
 pub(super) struct Bundle {
     pub(super) stations: Vec<(Source, BaseStation)>,
     pub(super) snapshots: Vec<(Snapshot, Frame)>,
+    /// What every snapshot's velocity is off, m/s in its device's frame.
+    pub(super) off: Vec<DVec3>,
 }
 
 struct Normal {
     stations: DMatrix<f64>,
     right: DVector<f64>,
     /// For every snapshot: its own block, its coupling with the stations, its right side.
-    own: Vec<(SMatrix<f64, 6, 6>, DMatrix<f64>, SVector<f64, 6>)>,
+    own: Vec<(SMatrix<f64, OWN, OWN>, DMatrix<f64>, SVector<f64, OWN>)>,
     cost: f64,
 }
 
@@ -70,7 +75,7 @@ impl Bundle {
                     take(
                         at,
                         index,
-                        &Residual::new(seen, &self.stations[index].1, frame),
+                        &Residual::new(seen, &self.stations[index].1, frame, self.off[at]),
                     );
                 }
             }
@@ -104,11 +109,11 @@ impl Bundle {
     fn normal(&self, soft: f64) -> Normal {
         let size = 6 * self.stations.len();
         let fresh = || {
-            let own = SMatrix::<f64, 6, 6>::zeros();
+            let own = SMatrix::<f64, OWN, OWN>::zeros();
             (
                 own,
-                DMatrix::<f64>::zeros(size, 6),
-                SVector::<f64, 6>::zeros(),
+                DMatrix::<f64>::zeros(size, OWN),
+                SVector::<f64, OWN>::zeros(),
             )
         };
         let mut normal = Normal {
@@ -129,13 +134,20 @@ impl Bundle {
             right.axpy(weight * residual.value, by_station, 1.0);
             let (own, coupling, right) = &mut normal.own[snapshot];
             own.ger(weight, by_device, by_device, 1.0);
-            let mut coupling = coupling.fixed_view_mut::<6, 6>(at, 0);
+            let mut coupling = coupling.fixed_view_mut::<6, OWN>(at, 0);
             coupling.ger(weight, by_station, by_device, 1.0);
             right.axpy(weight * residual.value, by_device, 1.0);
         });
-        for ((snapshot, frame), (own, _, right)) in self.snapshots.iter().zip(&mut normal.own) {
-            let weight = UP_SIGMA.powi(-2);
+        let own = self.snapshots.iter().zip(&self.off).zip(&mut normal.own);
+        for (((snapshot, frame), off), (own, _, right)) in own {
+            let weight = snapshot.up_sigma.powi(-2);
             normal.cost += lean(snapshot.up, DVec3::Y, frame.rotation, weight, own, right);
+            let weight = OFF_SIGMA.powi(-2);
+            for axis in 0..3 {
+                own[(6 + axis, 6 + axis)] += weight;
+                right[6 + axis] -= weight * off[axis];
+            }
+            normal.cost += weight * off.length_squared();
         }
         normal
     }
@@ -151,7 +163,7 @@ impl Bundle {
         let mut inverses = Vec::with_capacity(normal.own.len());
         for (own, coupling, own_right) in &normal.own {
             let mut own = *own;
-            for axis in 0..6 {
+            for axis in 0..OWN {
                 damp(&mut own[(axis, axis)]);
             }
             let inverse = own.cholesky()?.inverse();
@@ -170,15 +182,15 @@ impl Bundle {
             let frame = moved(&frame, &change.as_slice()[6 * index..6 * index + 6]);
             (station.position, station.rotation) = (frame.position, frame.rotation);
         }
-        for ((_, frame), (inverse, (_, coupling, own_right))) in next
-            .snapshots
-            .iter_mut()
-            .zip(inverses.iter().zip(&normal.own))
+        let own = next.snapshots.iter_mut().zip(&mut next.off);
+        for (((_, frame), off), (inverse, (_, coupling, own_right))) in
+            own.zip(inverses.iter().zip(&normal.own))
         {
             let pull = coupling.transpose() * &change;
-            let pull = SVector::<f64, 6>::from_iterator(pull.iter().copied());
-            let own: SVector<f64, 6> = inverse * (own_right - pull);
-            *frame = moved(frame, own.as_slice());
+            let pull = SVector::<f64, OWN>::from_iterator(pull.iter().copied());
+            let own: SVector<f64, OWN> = inverse * (own_right - pull);
+            *frame = moved(frame, &own.as_slice()[..6]);
+            *off += DVec3::new(own[6], own[7], own[8]);
         }
         Some(next)
     }

@@ -241,7 +241,10 @@ impl Room {
                     station.station.source = source;
                 }
             }
+            // What was found with stations in each other's places means nothing.
             self.revision += 1;
+            self.world += 1;
+            self.carried = None;
         }
     }
 

@@ -45,7 +45,7 @@ fn frame_of(station: &BaseStation) -> Frame {
 }
 
 impl Room {
-    /// A device was held still for a moment.
+    /// A device was still for a moment, or moved calmly.
     pub(in crate::lighthouse) fn offer(&mut self, snapshot: Snapshot) {
         if self.given {
             return;
@@ -158,7 +158,7 @@ impl Room {
             let Some(station) = self.stations[seen.source.index()] else {
                 continue;
             };
-            let value = Residual::new(seen, &station.station, &pose).value;
+            let value = Residual::new(seen, &station.station, &pose, DVec3::ZERO).value;
             // Reflections do not tell against a pose.
             square += value.powi(2).min(9.0 * FITS * FITS);
             count += 1.0;
@@ -166,13 +166,17 @@ impl Room {
         (square < FITS * FITS * count).then_some(pose)
     }
 
-    /// Whether a device was near here before, as far as the snapshot's pose is known.
+    /// Whether a device was near here before and saw the same stations, as far as the snapshot's
+    /// pose is known.
     fn is_like_another(&self, snapshot: &Snapshot) -> bool {
         let Some(pose) = snapshot.pose else {
             return false;
         };
+        let sources = snapshot.sources();
         self.snapshots.iter().any(|(other, frame)| {
+            let theirs = other.sources();
             other.model.identity == snapshot.model.identity
+                && sources.iter().all(|source| theirs.contains(source))
                 && (frame.position - pose.position).length() < APART.0
                 && frame.rotation.angle_between(pose.rotation) < APART.1
         })
@@ -189,6 +193,7 @@ impl Room {
                 .stations()
                 .map(|station| (station.source, *station))
                 .collect(),
+            off: vec![DVec3::ZERO; self.snapshots.len()],
             snapshots: self.snapshots.clone(),
         };
         let (rms, share) = bundle.adjust();

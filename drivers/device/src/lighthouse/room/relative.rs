@@ -80,7 +80,7 @@ pub(super) fn relative(snapshot: &Snapshot, source: Source, of: &Unplaced) -> Op
         .iter()
         .filter(|seen| seen.source == source)
     {
-        let value = Residual::new(seen, &of.station, &best.frame).value;
+        let value = Residual::new(seen, &of.station, &best.frame, DVec3::ZERO).value;
         all += 1;
         if value.abs() < fit {
             fitting += 1;
@@ -208,11 +208,11 @@ fn normal(
         .iter()
         .filter(|seen| seen.source == source)
     {
-        let residual = Residual::new(seen, &of.station, at);
+        let residual = Residual::new(seen, &of.station, at, DVec3::ZERO);
         let (weight, share) = robust(residual.value, soft);
         let weight = weight / (soft * soft);
         cost += share;
-        let row = residual.by_device;
+        let row = residual.by_device.fixed_rows::<6>(0);
         matrix.ger(weight, &row, &row, 1.0);
         gradient.axpy(weight * residual.value, &row, 1.0);
     }

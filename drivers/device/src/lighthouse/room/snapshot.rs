@@ -1,4 +1,4 @@
-//! What one device saw while it was held still for a moment: the raw material that base stations
+//! What one device saw in a moment in which it was still or moved calmly: the raw material that base stations
 //! are placed from. Raw readings are kept, so that a calibration that becomes known later, or a
 //! better place of a station, can be brought to bear on them.
 
@@ -29,6 +29,8 @@ pub(in crate::lighthouse) struct Glimpse {
     pub(in crate::lighthouse) angle: f64,
     /// Where the sensor was, in the IMU's frame at the snapshot's time, metres.
     pub(in crate::lighthouse) arm: DVec3,
+    /// Seconds after the snapshot's time; negative before it.
+    pub(in crate::lighthouse) tau: f64,
 }
 
 /// A moment of one device.
@@ -37,6 +39,8 @@ pub(in crate::lighthouse) struct Snapshot {
     pub(in crate::lighthouse) model: Arc<DeviceModel>,
     /// Up, by the accelerometer, in the IMU's frame; unit.
     pub(in crate::lighthouse) up: DVec3,
+    /// Standard deviation of that, rad.
+    pub(in crate::lighthouse) up_sigma: f64,
     /// The IMU's frame in the world, where the device is tracked.
     pub(in crate::lighthouse) pose: Option<Frame>,
     pub(in crate::lighthouse) glimpses: Vec<Glimpse>,
@@ -83,44 +87,51 @@ impl Snapshot {
 }
 
 /// A reading less what is expected, and the derivatives of what is expected over position and
-/// rotation of the device and over position and rotation of the station; rotations are counted in
-/// the turned frame.
+/// rotation of the device, over what its velocity (in its own frame) is off, and over position and
+/// rotation of the station; rotations are counted in the turned frame.
 pub(super) struct Residual {
     pub(super) value: f64,
-    pub(super) by_device: SVector<f64, 6>,
+    pub(super) by_device: SVector<f64, 9>,
     pub(super) by_station: SVector<f64, 6>,
 }
 
 impl Residual {
-    pub(super) fn new(seen: &Glimpse, station: &BaseStation, pose: &Frame) -> Self {
-        let point = pose.position + pose.rotation * seen.arm;
+    /// `off`: what the snapshot's velocity is off, m/s in the device's frame.
+    pub(super) fn new(seen: &Glimpse, station: &BaseStation, pose: &Frame, off: DVec3) -> Self {
+        let arm = seen.arm + seen.tau * off;
+        let point = pose.position + pose.rotation * arm;
         let local = station.to_local(point);
         let (expected, gradient) = station.reading(usize::from(seen.plane & 1), local);
         let by_point = station.rotation * gradient;
-        let turned = seen.arm.cross(pose.rotation.conjugate() * by_point);
+        let in_device = pose.rotation.conjugate() * by_point;
+        let turned = arm.cross(in_device);
+        let by_off = seen.tau * in_device;
         let by_turn = gradient.cross(local);
-        let row = |a: DVec3, b: DVec3| SVector::from([a.x, a.y, a.z, b.x, b.y, b.z]);
+        let device = [by_point, turned, by_off];
+        let station = [-by_point, by_turn];
         Self {
             value: seen.angle - expected,
-            by_device: row(by_point, turned),
-            by_station: row(-by_point, by_turn),
+            by_device: SVector::from_iterator(device.iter().flat_map(DVec3::to_array)),
+            by_station: SVector::from_iterator(station.iter().flat_map(DVec3::to_array)),
         }
     }
 }
 
-/// Adds to normal equations that the device's `up` points along `expected` (unit, outer frame).
-pub(super) fn lean(
+/// Adds to normal equations over position, rotation and `N - 6` further unknowns that the device's
+/// `up` points along `expected` (unit, outer frame).
+pub(super) fn lean<const N: usize>(
     up: DVec3,
     expected: DVec3,
     rotation: DQuat,
     weight: f64,
-    matrix: &mut SMatrix<f64, 6, 6>,
-    gradient: &mut SVector<f64, 6>,
+    matrix: &mut SMatrix<f64, N, N>,
+    gradient: &mut SVector<f64, N>,
 ) -> f64 {
     let off = expected - rotation * up;
     for axis in 0..3 {
         let turned = up.cross(rotation.conjugate() * DVec3::AXES[axis]);
-        let row = SVector::from([0.0, 0.0, 0.0, turned.x, turned.y, turned.z]);
+        let mut row = SVector::<f64, N>::zeros();
+        (row[3], row[4], row[5]) = (turned.x, turned.y, turned.z);
         matrix.ger(weight, &row, &row, 1.0);
         gradient.axpy(weight * off[axis], &row, 1.0);
     }

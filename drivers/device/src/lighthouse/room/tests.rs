@@ -72,6 +72,7 @@ fn seen(model: &Arc<DeviceModel>, stations: &[BaseStation], pose: &Frame) -> Sna
                     sensor: sensor as u8,
                     angle: station.reading(plane, station.to_local(point)).0,
                     arm: entry.position,
+                    tau: 0.0,
                 });
             }
         }
@@ -79,6 +80,7 @@ fn seen(model: &Arc<DeviceModel>, stations: &[BaseStation], pose: &Frame) -> Sna
     Snapshot {
         model: Arc::clone(model),
         up: pose.rotation.conjugate() * DVec3::Y,
+        up_sigma: 0.004,
         pose: None,
         glimpses,
     }

@@ -331,10 +331,8 @@ fn base_stations_are_found_by_their_light() {
     for (found, truth) in found.iter().zip(&stations) {
         assert_eq!((found.id, found.calibration), (truth.id, truth.calibration));
         let up = |station: &BaseStation| station.rotation.conjugate() * DVec3::Y;
-        assert!(
-            up(found).angle_between(up(truth)) < 0.5f64.to_radians(),
-            "level"
-        );
+        let lean = up(found).angle_between(up(truth)).to_degrees();
+        assert!(lean < 0.5, "{lean} degrees off the level");
     }
     // The headset is tracked from the wearer's second halt on, long before the stations have said
     // what shape their light has.

@@ -1,12 +1,13 @@
 //! How well a capture's Lighthouse devices are tracked:
 //!
 //!     cargo run --release -p posed-device --example lighthouse -- CAPTURE [--stations FILE] \
-//!         [--compare FILE] [--truth FILE] [--rec FILE DEVICE] [--from SECONDS]
+//!         [--compare FILE] [--truth FILE] [--rec FILE DEVICE] [--from SECONDS] [--seconds]
 //!
 //! Without `--stations` they are found from the light, and compared with those in `--compare`,
 //! both files being libsurvive's JSON. `--truth` is what `posed simulate` writes
 //! beside a capture, `--rec` a recording of libsurvive's whose pose lines of a device
 //! are compared with.
+//! `--seconds` adds a line for every second.
 
 use std::{
     collections::BTreeMap,
@@ -43,6 +44,7 @@ struct Arguments {
     truth: Option<String>,
     rec: Option<(String, String)>,
     from: f64,
+    seconds: bool,
 }
 
 fn arguments() -> Fallible<Arguments> {
@@ -59,6 +61,7 @@ fn arguments() -> Fallible<Arguments> {
             "--compare" => found.compare = Some(value()?),
             "--truth" => found.truth = Some(value()?),
             "--rec" => found.rec = Some((value()?, value()?)),
+            "--seconds" => found.seconds = true,
             "--from" => found.from = value()?.parse()?,
             _ => found.capture = word,
         }
@@ -145,6 +148,9 @@ fn main() -> Fallible<()> {
             continue;
         }
         general(&poses, &device.imu, seconds - arguments.from);
+        if arguments.seconds {
+            timeline(&poses, begin);
+        }
         if let Some(path) = &arguments.truth {
             against(&poses, &truth(path, serial)?, 0.0, false);
         }
@@ -306,6 +312,26 @@ fn general(poses: &[Pose], imu: &[Imu], seconds: f64) {
         "  tilt {:.3} degrees",
         up.angle_between(DVec3::Y).to_degrees()
     );
+}
+
+/// How many poses of every second are optical, their residual, and where the device is.
+fn timeline(poses: &[Pose], begin: HostTime) {
+    let second = |pose: &Pose| pose.at.since_secs(begin).floor();
+    for part in poses.chunk_by(|a, b| second(a) == second(b)) {
+        let optical: Vec<&Pose> = part
+            .iter()
+            .filter(|pose| pose.how == PoseHow::Optical)
+            .collect();
+        let square: f32 = optical.iter().map(|pose| pose.residual_rad.powi(2)).sum();
+        println!(
+            "  {:3} s: {} of {} poses, residual {:.2e} rad, at {:.4}",
+            second(&part[0]),
+            optical.len(),
+            part.len(),
+            (square / optical.len().max(1) as f32).sqrt(),
+            part[part.len() - 1].position,
+        );
+    }
 }
 
 /// The true poses of a device.

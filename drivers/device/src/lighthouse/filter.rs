@@ -13,6 +13,7 @@ use super::{
     model::{DeviceModel, Frame, GRAVITY},
     motion::ImuSample,
     planes::Planes,
+    rest::Rest,
     room::Placed,
     solve::{Sighting, Solution, station_of},
 };
@@ -55,6 +56,14 @@ const HARD_GATE: f64 = 8.0;
 /// Sensors hardly see light that comes from behind this angle, as a cosine.
 const FACING_COSINE: f64 = -0.1;
 
+/// A device that lies still is told so, m/s, this often, s, unless it is thought to move by more
+/// than the last of these, m/s.
+const STILL_SIGMA: f64 = 3e-4;
+const STILL_INTERVAL: f64 = 0.01;
+const STILL_SPEED: f64 = 4e-3;
+/// What a pose may be off after base stations got better places, m and rad.
+const REPLACED: (f64, f64) = (0.01, 0.01);
+
 /// Pose and velocity of the IMU's frame in the world.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Nominal {
@@ -79,10 +88,22 @@ impl Nominal {
 pub(super) enum Verdict {
     /// It was used: the residual that is left, rad, and its weight beside an ordinary sweep's.
     Accepted(f64, f64),
+    /// It does not fit well, and was not used: others may tell what it is.
+    Doubtful,
     /// It does not fit: a reflection, or the filter is wrong.
     Rejected,
     /// It cannot be compared: no such sensor, or a base station that is not known.
     Ignored,
+}
+
+/// How often a sweep has been tried.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Trial {
+    /// One that does not fit well may wait for others: a state that is not known well cannot tell a
+    /// reflection from its own error, but once others have improved it, it can.
+    First,
+    /// Now it is used or not.
+    Second,
 }
 
 /// The filter.
@@ -99,6 +120,9 @@ pub(super) struct Filter {
     /// The newest sample, biases taken off.
     imu: ImuSample,
     planes: Planes,
+    rest: Rest,
+    /// When it was last told that it lies still, s.
+    told_still: f64,
 }
 
 impl Filter {
@@ -130,6 +154,8 @@ impl Filter {
             covariance,
             imu: *imu,
             planes: Planes::new(SWEEP_SIGMA),
+            rest: Rest::default(),
+            told_still: f64::NEG_INFINITY,
         }
     }
 
@@ -170,6 +196,30 @@ impl Filter {
         self.propagate_covariance(dt, &mean);
         self.nominal.advance(dt, &mean, self.gravity());
         (self.time, self.imu) = (imu.time, newest);
+        if self.rest.watch(&newest, dt) && (imu.time - self.told_still).abs() > STILL_INTERVAL {
+            self.told_still = imu.time;
+            self.hold();
+        }
+    }
+
+    /// The device lies still: its velocity is zero.
+    fn hold(&mut self) {
+        if self.nominal.velocity.length() > STILL_SPEED {
+            return;
+        }
+        for axis in 0..3 {
+            let mut row = SVector::<f64, 9>::zeros();
+            row[VELOCITY + axis] = 1.0;
+            self.update(-self.nominal.velocity[axis], STILL_SIGMA * STILL_SIGMA, &row);
+        }
+    }
+
+    /// Base stations have got better places: the pose among them is not known as well any more.
+    pub(super) fn loosen(&mut self) {
+        for axis in 0..3 {
+            self.covariance[(POSITION + axis, POSITION + axis)] += REPLACED.0 * REPLACED.0;
+            self.covariance[(ROTATION + axis, ROTATION + axis)] += REPLACED.1 * REPLACED.1;
+        }
     }
 
     /// P becomes F P F' + Q, block by block: F differs from the identity in few places.
@@ -233,6 +283,7 @@ impl Filter {
         stations: &Placed,
         model: &DeviceModel,
         seen: &Sighting,
+        trial: Trial,
     ) -> Verdict {
         let sensor = model
             .sensors
@@ -263,9 +314,14 @@ impl Filter {
         let rows = [by_point, by_velocity, by_rotation];
         let row = SVector::<f64, 9>::from_iterator(rows.iter().flat_map(DVec3::to_array));
         let innovation = seen.angle - expected;
-        let noise = self
-            .planes
-            .variance(usize::from(seen.station), plane, seen.time, innovation);
+        let station = usize::from(seen.station);
+        let noise = self.planes.variance(station, plane, seen.time);
+        let known = row.dot(&(self.covariance.fixed_view::<9, 9>(0, 0) * row));
+        let ratio = (innovation * innovation / (known + noise)).sqrt();
+        if trial == Trial::First && ratio > SOFT_GATE {
+            return Verdict::Doubtful;
+        }
+        self.planes.note(station, plane, seen.time, innovation);
         self.update(innovation, noise, &row)
     }
 

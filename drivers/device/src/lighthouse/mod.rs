@@ -24,6 +24,7 @@ mod radio;
 mod radio_pulses;
 pub mod reader;
 pub mod reproject;
+mod rest;
 pub mod room;
 pub mod rotor;
 mod solve;

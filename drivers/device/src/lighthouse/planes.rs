@@ -51,26 +51,23 @@ impl Planes {
         }
     }
 
-    /// The variance of a sweep of a plane, which deviates by `deviation` (rad) at `time`.
-    pub(super) fn variance(
-        &mut self,
-        station: usize,
-        plane: usize,
-        time: f64,
-        deviation: f64,
-    ) -> f64 {
-        let reference = self.reference(time);
-        let Some(entry) = self
-            .planes
-            .get_mut(station)
-            .and_then(|pair| pair.get_mut(plane))
-        else {
+    /// A sweep of a plane deviates by `deviation` (rad) at `time`.
+    pub(super) fn note(&mut self, station: usize, plane: usize, time: f64, deviation: f64) {
+        let entry = self.planes.get_mut(station);
+        if let Some(entry) = entry.and_then(|pair| pair.get_mut(plane)) {
+            let deviation = deviation.abs().min(DEVIATION_MAX);
+            entry.square += RUNNING * (deviation * deviation - entry.square);
+            entry.seen = time;
+        }
+    }
+
+    /// The variance of a sweep of a plane, rad^2.
+    pub(super) fn variance(&self, station: usize, plane: usize, time: f64) -> f64 {
+        let entry = self.planes.get(station).and_then(|pair| pair.get(plane));
+        let Some(entry) = entry else {
             return self.ordinary;
         };
-        let deviation = deviation.abs().min(DEVIATION_MAX);
-        entry.square += RUNNING * (deviation * deviation - entry.square);
-        entry.seen = time;
-        let excess = entry.square / (ORDINARY * ORDINARY * reference);
+        let excess = entry.square / (ORDINARY * ORDINARY * self.reference(time));
         self.ordinary * excess.max(1.0)
     }
 
@@ -127,7 +124,8 @@ mod tests {
         for n in 0..2_000 {
             for (index, deviation) in deviations.into_iter().enumerate() {
                 let time = f64::from(n) * 1e-3;
-                variances[index] = planes.variance(index / 2, index % 2, time, deviation);
+                planes.note(index / 2, index % 2, time, deviation);
+                variances[index] = planes.variance(index / 2, index % 2, time);
             }
         }
         variances.map(|variance| variance.sqrt() / SIGMA)
@@ -147,6 +145,8 @@ mod tests {
 
     #[test]
     fn stations_out_of_range_are_ordinary() {
-        assert_eq!(Planes::new(SIGMA).variance(99, 0, 0.0, 1.0), SIGMA * SIGMA);
+        let mut planes = Planes::new(SIGMA);
+        planes.note(99, 0, 0.0, 1.0);
+        assert_eq!(planes.variance(99, 0, 0.0), SIGMA * SIGMA);
     }
 }

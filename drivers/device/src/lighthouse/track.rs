@@ -12,7 +12,7 @@ use posed_signal::PoseHow;
 
 use super::{
     base_station::Source,
-    filter::{Filter, Nominal, Verdict},
+    filter::{Filter, Nominal, Trial, Verdict},
     model::{DeviceModel, Frame, GRAVITY},
     motion::{ImuSample, RelativeMotion},
     room::{
@@ -52,6 +52,11 @@ const LOST: f64 = 3.0;
 const IMU_GAP: f64 = 0.08;
 /// Share of the sweeps that has to fit, over about the last hundred.
 const FITTING: f64 = 0.35;
+/// Doubtful sweeps are tried again after so many others were taken, or after this long, s; no more
+/// than so many wait.
+const AGREED: u32 = 3;
+const DOUBTFUL: f64 = 4e-3;
+const DOUBTFUL_MAX: usize = 16;
 /// Weight of a sweep in the running figures.
 const RUNNING: f64 = 0.01;
 /// A device is held still while it turns and is pushed by no more than this, rad/s and m/s^2, and
@@ -90,6 +95,29 @@ struct Tracking {
     fitting: f64,
 }
 
+impl Tracking {
+    /// Gives a sweep to the filter, and keeps account of how well they fit.
+    fn sweep(
+        &mut self,
+        stations: &Placed,
+        model: &DeviceModel,
+        seen: &Sighting,
+        trial: Trial,
+    ) -> Verdict {
+        let verdict = self.filter.sweep(stations, model, seen, trial);
+        match verdict {
+            Verdict::Accepted(residual, weight) => {
+                self.light = self.light.max(seen.time);
+                self.square += RUNNING * weight * (residual * residual - self.square);
+                self.fitting += RUNNING * (1.0 - self.fitting);
+            }
+            Verdict::Rejected => self.fitting -= RUNNING * self.fitting,
+            Verdict::Doubtful | Verdict::Ignored => {}
+        }
+        verdict
+    }
+}
+
 /// The track of one device.
 pub(super) struct Track {
     model: Arc<DeviceModel>,
@@ -100,6 +128,9 @@ pub(super) struct Track {
     /// Sweeps newer than every inertial sample.
     waiting: VecDeque<Sighting>,
     tracking: Option<Tracking>,
+    /// Sweeps that did not fit well, and how many have been taken since they were last tried.
+    doubtful: Vec<Sighting>,
+    agreed: u32,
     /// No search before this time.
     search_after: f64,
     /// Since when searches fail though there is light of placed stations.
@@ -119,6 +150,8 @@ impl Track {
             sightings: VecDeque::with_capacity(SIGHTINGS_MAX),
             waiting: VecDeque::with_capacity(SIGHTINGS_MAX),
             tracking: None,
+            doubtful: Vec::with_capacity(DOUBTFUL_MAX),
+            agreed: 0,
             search_after: f64::NEG_INFINITY,
             astray: None,
             suspect: None,
@@ -149,6 +182,9 @@ impl Track {
     pub(super) fn set_stations(&mut self, stations: Placed) {
         self.stations = stations;
         self.suspect = None;
+        if let Some(tracking) = &mut self.tracking {
+            tracking.filter.loosen();
+        }
     }
 
     /// The world was moved as a whole; `None`: it is another one.
@@ -320,6 +356,7 @@ impl Track {
         self.samples.clear();
         self.sightings.clear();
         self.waiting.clear();
+        self.doubtful.clear();
         self.search_after = f64::NEG_INFINITY;
     }
 
@@ -432,16 +469,17 @@ impl Track {
             return;
         }
         advance(&mut tracking.filter, &self.samples, seen.time);
-        match tracking.filter.sweep(&self.stations, &self.model, seen) {
-            Verdict::Accepted(residual, weight) => {
-                tracking.light = tracking.light.max(seen.time);
-                tracking.square += RUNNING * weight * (residual * residual - tracking.square);
-                tracking.fitting += RUNNING * (1.0 - tracking.fitting);
+        match tracking.sweep(&self.stations, &self.model, seen, Trial::First) {
+            Verdict::Accepted(..) => self.agreed += 1,
+            Verdict::Doubtful if self.doubtful.len() < DOUBTFUL_MAX => self.doubtful.push(*seen),
+            _ => {}
+        }
+        let oldest = self.doubtful.first().map_or(seen.time, |seen| seen.time);
+        if self.agreed >= AGREED || seen.time - oldest > DOUBTFUL {
+            self.agreed = 0;
+            for seen in self.doubtful.drain(..) {
+                tracking.sweep(&self.stations, &self.model, &seen, Trial::Second);
             }
-            Verdict::Rejected => {
-                tracking.fitting -= RUNNING * tracking.fitting;
-            }
-            Verdict::Ignored => {}
         }
     }
 

@@ -35,8 +35,8 @@ use posed_signal::time::MILLISECOND_NS;
 use serde::Serialize;
 
 pub use device::{Device, Model, Path, Placement};
-pub use options::{ImuNoise, LightNoise, Occluder, Options, UsbTiming};
-pub use stations::{default_stations, generation_one_stations, write_libsurvive};
+pub use options::{ImuNoise, LightNoise, Move, Occluder, Options, UsbTiming};
+pub use stations::{default_stations, four_stations, generation_one_stations, write_libsurvive};
 
 use crate::lighthouse::base_station::{BaseStation, Source};
 use crate::usb::{Packet, Port, Transfer};
@@ -147,7 +147,7 @@ impl Simulator {
         Ok(simulator)
     }
 
-    /// The base stations.
+    /// The base stations, where they stand at first.
     #[must_use]
     pub fn stations(&self) -> &[BaseStation] {
         &self.options.stations
@@ -169,6 +169,10 @@ impl Simulator {
         let now = HostTime(self.frame * Self::FRAME_NS).as_secs_f64();
         for rotor in &mut self.rotors {
             while let Some(rotation) = rotor.next(now) {
+                rotor.stand(&self.options.moves, rotation.sync_s);
+                if is_dark(&self.options.dark, &rotation) {
+                    continue;
+                }
                 let obstacles = obstacles(&self.options.occluders, &rotation);
                 for unit in &mut self.units {
                     unit.watch(rotor, &rotation, &obstacles);
@@ -243,6 +247,14 @@ fn obstacles(occluders: &[Occluder], rotation: &Rotation) -> Vec<Capsule> {
         radius: occluder.radius,
     };
     occluders.iter().map(capsule).collect()
+}
+
+/// Whether the middle of a rotation lies in a dark span.
+fn is_dark(spans: &[[f64; 2]], rotation: &Rotation) -> bool {
+    let middle = rotation.sync_s + rotation.period_s / 2.0;
+    spans
+        .iter()
+        .any(|[begin, end]| (*begin..*end).contains(&middle))
 }
 
 fn truth(device: &Device, start: HostTime, since_start: u64) -> Truth {

@@ -1,6 +1,6 @@
 //! What can be chosen about a simulation.
 
-use glam::DVec3;
+use glam::{DQuat, DVec3};
 use posed_signal::HostTime;
 
 use super::SimulateError;
@@ -129,6 +129,19 @@ pub struct Occluder {
     pub radius: f64,
 }
 
+/// Somebody moves a base station.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Move {
+    /// Seconds after the start.
+    pub at_s: f64,
+    /// Which one.
+    pub source: Source,
+    /// Where it stands from then on, metres.
+    pub position: DVec3,
+    /// Its frame to the world.
+    pub rotation: DQuat,
+}
+
 /// Options of a simulation.
 pub struct Options {
     /// Everything random follows from it.
@@ -141,6 +154,10 @@ pub struct Options {
     pub stations: Vec<BaseStation>,
     /// The wearer's body and anything else that stands in the light.
     pub occluders: Vec<Occluder>,
+    /// Spans in which no device sees any light: begin and end, seconds after the start.
+    pub dark: Vec<[f64; 2]>,
+    /// Base stations that are moved, in the order of time.
+    pub moves: Vec<Move>,
     /// Errors of the inertial sensors.
     pub imu: ImuNoise,
     /// Errors of the optical measurements.
@@ -157,6 +174,8 @@ impl Default for Options {
             duration_s: 20.0,
             stations: default_stations(),
             occluders: Vec::new(),
+            dark: Vec::new(),
+            moves: Vec::new(),
             imu: ImuNoise::TYPICAL,
             light: LightNoise::TYPICAL,
             usb: UsbTiming::TYPICAL,

@@ -1,7 +1,7 @@
 //! The rotors of base stations.
 
 use super::ootx;
-use super::options::LightNoise;
+use super::options::{LightNoise, Move};
 use super::random::Random;
 use crate::lighthouse::base_station::{BaseStation, Generation};
 use crate::lighthouse::reproject::ROTOR_HZ;
@@ -78,6 +78,17 @@ impl Rotor {
             bits,
             jitter_s: noise.rotor_s,
             random,
+        }
+    }
+
+    /// Puts the station to where the last of `moves` by `seconds` left it.
+    pub(super) fn stand(&mut self, moves: &[Move], seconds: f64) {
+        let last = moves
+            .iter()
+            .rev()
+            .find(|moved| moved.source == self.station.source && moved.at_s <= seconds);
+        if let Some(moved) = last {
+            (self.station.position, self.station.rotation) = (moved.position, moved.rotation);
         }
     }
 

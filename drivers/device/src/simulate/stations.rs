@@ -8,10 +8,9 @@ use half::f16;
 use crate::lighthouse::base_station::{BaseStation, Generation, Source, from_z_up};
 use crate::lighthouse::reproject::PlaneCalibration;
 
-/// Two base stations in opposite corners of a room of 5 by 5 m, 2.3 m up, looking down at its
-/// middle, with deviations of the size that real ones have.
-#[must_use]
-pub fn default_stations() -> Vec<BaseStation> {
+/// A base station of generation 2 in a corner of a room of 5 by 5 m, 2.3 m up, looking down at its
+/// middle. The planes' numbers are in the order of [`PlaneCalibration`]'s fields.
+fn corner(channel: u8, x: f64, z: f64, planes: [[f64; 7]; 2]) -> BaseStation {
     let plane = |values: [f64; 7]| {
         // They broadcast 16-bit floats: anything finer would be lost.
         let [phase, tilt, curve, gibphase, gibmag, ogeephase, ogeemag] =
@@ -26,17 +25,22 @@ pub fn default_stations() -> Vec<BaseStation> {
             ogeemag,
         }
     };
-    let station = |channel, id, x: f64, z: f64, planes: [[f64; 7]; 2]| BaseStation {
+    BaseStation {
         source: Source::Channel(channel),
-        id,
+        id: 0x51a0_0000 | u32::from(channel),
         position: DVec3::new(x, 2.3, z),
         rotation: DQuat::from_rotation_y(x.atan2(z)) * DQuat::from_rotation_x(-25f64.to_radians()),
         calibration: planes.map(plane),
-    };
+    }
+}
+
+/// Two base stations in opposite corners of the room, with deviations of the size that real ones
+/// have.
+#[must_use]
+pub fn default_stations() -> Vec<BaseStation> {
     vec![
-        station(
+        corner(
             2,
-            0x51a0_0002,
             -2.4,
             -2.4,
             [
@@ -44,9 +48,8 @@ pub fn default_stations() -> Vec<BaseStation> {
                 [-0.005, 0.046, 0.21, 2.5, -0.004, 2.8, -0.18],
             ],
         ),
-        station(
+        corner(
             8,
-            0x51a0_0008,
             2.4,
             2.4,
             [
@@ -55,6 +58,33 @@ pub fn default_stations() -> Vec<BaseStation> {
             ],
         ),
     ]
+}
+
+/// Four base stations, one in each corner: [`default_stations`] and two more.
+#[must_use]
+pub fn four_stations() -> Vec<BaseStation> {
+    let mut stations = default_stations();
+    stations.extend([
+        corner(
+            5,
+            2.4,
+            -2.4,
+            [
+                [0.0, -0.050, 0.08, 2.0, -0.005, 2.2, 0.12],
+                [-0.006, 0.047, 0.25, 2.2, -0.006, 1.1, -0.09],
+            ],
+        ),
+        corner(
+            11,
+            -2.4,
+            2.4,
+            [
+                [0.0, -0.047, 0.03, 1.7, -0.004, 0.4, -0.22],
+                [-0.004, 0.045, 0.19, 2.6, -0.003, 2.5, 0.16],
+            ],
+        ),
+    ]);
+    stations
 }
 
 /// Two base stations of generation 1, A and b, in the places of [`default_stations`].
@@ -167,7 +197,7 @@ mod tests {
 
     #[test]
     fn the_stations_look_down_at_the_room() {
-        for station in default_stations() {
+        for station in four_stations() {
             let middle = station.to_local(DVec3::new(0.0, 1.0, 0.0));
             assert!(
                 middle.z < -3.0 && middle.x.abs() < 0.05 && middle.y.abs() < 1.0,

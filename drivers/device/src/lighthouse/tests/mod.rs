@@ -4,6 +4,7 @@ mod broadcasts;
 mod captures;
 mod generation1;
 mod simulated;
+mod walk;
 
 use posed_signal::{Imu, Pose, Sample};
 

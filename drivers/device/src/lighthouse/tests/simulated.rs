@@ -26,7 +26,7 @@ use crate::{
 
 /// Someone who walks in a circle at 0.8 m/s, looks around and swings the arms: hands reach 3 m/s,
 /// 17 m/s^2 and 5 rad/s.
-fn body(seconds: f64) -> (DVec3, DQuat) {
+pub(super) fn body(seconds: f64) -> (DVec3, DQuat) {
     let turn = DQuat::from_rotation_y(0.8 * seconds);
     (turn * DVec3::X, turn)
 }
@@ -57,9 +57,9 @@ fn hand(side: f64) -> impl Path {
     }
 }
 
-struct Walk {
+pub(super) struct Walk {
     start: HostTime,
-    devices: Vec<(Model, Tracked)>,
+    pub(super) devices: Vec<(Model, Tracked)>,
 }
 
 /// Tracks the walk for some seconds; packets that `pass` refuses (by seconds and packet) are lost.
@@ -77,6 +77,11 @@ fn walk_under(
         stations,
         ..Options::default()
     };
+    walk_with(options, pass)
+}
+
+/// Tracks the walk with base stations that are given.
+pub(super) fn walk_with(options: Options, pass: impl Fn(f64, &Packet) -> bool) -> Walk {
     let start = options.start;
     let models = [
         Model::Headset,
@@ -106,7 +111,7 @@ fn walk_under(
     }
 }
 
-fn truth(model: Model, seconds: f64) -> Placement {
+pub(super) fn truth(model: Model, seconds: f64) -> Placement {
     match model {
         Model::Headset => head(seconds),
         Model::LeftController => hand(-1.0).at(seconds),
@@ -115,8 +120,13 @@ fn truth(model: Model, seconds: f64) -> Placement {
 }
 
 impl Walk {
+    /// Seconds after the walk's start.
+    pub(super) fn seconds(&self, pose: &Pose) -> f64 {
+        pose.at.since_secs(self.start)
+    }
+
     /// Poses from the given second on, each with its errors: metres, degrees.
-    fn errors(&self, index: usize, from: f64) -> Vec<(&Pose, f64, f64)> {
+    pub(super) fn errors(&self, index: usize, from: f64) -> Vec<(&Pose, f64, f64)> {
         let (model, tracked) = &self.devices[index];
         let late = tracked
             .poses

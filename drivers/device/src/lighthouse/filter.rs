@@ -210,7 +210,11 @@ impl Filter {
         for axis in 0..3 {
             let mut row = SVector::<f64, 9>::zeros();
             row[VELOCITY + axis] = 1.0;
-            self.update(-self.nominal.velocity[axis], STILL_SIGMA * STILL_SIGMA, &row);
+            self.update(
+                -self.nominal.velocity[axis],
+                STILL_SIGMA * STILL_SIGMA,
+                &row,
+            );
         }
     }
 

@@ -22,8 +22,8 @@ const fn frame_bits(payload: usize) -> usize {
 /// Bits of a frame of generation 2 and of one of generation 1. The first entry stands for frames of
 /// any other length: with those, no bit before the length may be missing.
 const PERIODS: [u64; 3] = [0, frame_bits(43) as u64, frame_bits(33) as u64];
-/// Bits kept: two of the longest frames.
-const WINDOW: usize = 2 * frame_bits(PAYLOAD_MAX);
+/// Bits kept: six of the longest frames.
+const WINDOW: usize = 6 * frame_bits(PAYLOAD_MAX);
 
 /// What a base station says about itself.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -92,17 +92,16 @@ impl Broadcast {
     }
 }
 
-/// Joins one base station's bits to payloads. Bits may be missing: the same bit comes again one
-/// frame later, and a frame is read as soon as each of its bits has been seen once.
+/// Joins one base station's bits to payloads. Bits may be missing: the same bit comes again with
+/// every frame, and a frame is read as soon as each of its bits has been seen once.
 #[derive(Debug, Clone)]
 pub struct BitStream {
     /// The newest [`WINDOW`] bits, by position modulo the window.
     bits: Vec<Option<bool>>,
     /// Position of the next bit.
     next: u64,
-    /// Position of the newest preamble whose frame has not been read yet, and the period by which
-    /// missing bits were filled in to see it.
-    preamble: Option<(u64, u64)>,
+    /// Position of the newest preamble whose frame has not been read yet.
+    preamble: Option<u64>,
 }
 
 impl Default for BitStream {
@@ -126,18 +125,21 @@ impl BitStream {
             self.put(None);
         }
         self.put(Some(bit));
-        if let Some(start) = (self.next - 1).checked_sub(PREAMBLE_ZEROS).filter(|_| bit) {
-            let zeros = |period: &u64| {
-                (start..self.next - 1).all(|at| self.bit(at, *period) == Some(false))
-            };
-            if let Some(period) = PERIODS.into_iter().find(zeros) {
-                self.preamble = Some((start, period));
-            }
-        }
-        let (start, period) = self.preamble?;
-        let payload = self.frame(start, period)?;
+        let start = (self.next - 1).checked_sub(PREAMBLE_ZEROS);
+        let begins = |start: &u64| PERIODS.into_iter().any(|period| self.zeros(*start, period));
+        self.preamble = start.filter(|start| bit && begins(start)).or(self.preamble);
+        // Zeros that were filled in by a wrong period are as good as others: all are tried.
+        let start = self.preamble?;
+        let payload = PERIODS
+            .into_iter()
+            .filter(|period| self.zeros(start, *period))
+            .find_map(|period| self.frame(start, period))?;
         self.preamble = None;
         Some(payload)
+    }
+
+    fn zeros(&self, start: u64, period: u64) -> bool {
+        (start..start + PREAMBLE_ZEROS).all(|at| self.bit(at, period) == Some(false))
     }
 
     fn put(&mut self, bit: Option<bool>) {
@@ -152,7 +154,7 @@ impl BitStream {
     }
 
     /// The payload of the frame that begins at `start`; bits that are not there are taken from the
-    /// frame before.
+    /// frames before.
     fn frame(&self, start: u64, filled: u64) -> Option<Vec<u8>> {
         let body = start + PREAMBLE_ZEROS + 1;
         let (low, high) = (self.byte(body, filled)?, self.byte(body + 8, filled)?);
@@ -180,9 +182,14 @@ impl BitStream {
         (crc.sum() == u32::from_le_bytes(*sum)).then(|| payload.to_vec())
     }
 
+    /// A bit, or the same bit of an earlier frame, the newest that was seen.
     fn bit(&self, position: u64, period: u64) -> Option<bool> {
-        let before = || self.at(position.checked_sub(period)?);
-        self.at(position).or_else(before)
+        let frames = if period == 0 {
+            1
+        } else {
+            WINDOW as u64 / period
+        };
+        (0..frames).find_map(|back| self.at(position.checked_sub(back * period)?))
     }
 
     fn byte(&self, position: u64, period: u64) -> Option<u8> {
@@ -278,14 +285,15 @@ mod tests {
 
     proptest! {
         #[test]
-        fn missing_bits_are_taken_from_the_next_frame(
-            seed in prop::collection::vec(any::<u8>(), 33..=43),
-            lost in prop::collection::vec(0.0f64..1.0, 1_800), share in 0.0f64..0.004,
+        fn missing_bits_are_taken_from_other_frames(
+            seed in prop::collection::vec(any::<u8>(), 43), old in any::<bool>(),
+            lost in prop::collection::vec(0.0f64..1.0, 3_540), share in 0.0f64..0.15,
         ) {
-            let frame = bits(&seed);
+            let seed = if old { &seed[..33] } else { &seed[..] };
+            let frame = bits(seed);
             let stream = frame.iter().cycle().zip(&lost)
                 .map(|(bit, lost)| (*lost >= share).then_some(*bit));
-            prop_assert!(read_at(stream, &seed).is_some());
+            prop_assert!(read_at(stream, seed).is_some());
         }
 
         #[test]

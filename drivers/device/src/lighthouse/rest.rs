@@ -79,7 +79,9 @@ mod tests {
         let mut first: Option<f64> = None;
         let mut state = 1u64;
         let mut noise = || {
-            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
+            state = state
+                .wrapping_mul(6_364_136_223_846_793_005)
+                .wrapping_add(1);
             (state >> 40) as f64 / f64::from(1u32 << 24) - 0.5
         };
         for n in 0..(seconds * 1e3) as u32 {

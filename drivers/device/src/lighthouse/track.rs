@@ -303,7 +303,10 @@ impl Track {
         let recent = self.sightings.iter().filter(|seen| seen.time >= begin);
         // The filter's bias would tell again what the room is level by now: it is left in.
         let up = force + filter.map_or(DVec3::ZERO, |filter| filter.accel_bias);
-        let turning = samples.iter().map(|sample| sample.gyro.length()).sum::<f64>();
+        let turning = samples
+            .iter()
+            .map(|sample| sample.gyro.length())
+            .sum::<f64>();
         let turning = turning / samples.len() as f64;
         Some(Snapshot {
             model: Arc::clone(&self.model),

@@ -76,11 +76,19 @@ impl Room {
                 added = true;
             }
         }
-        if !added && (!is_fresh || self.snapshots.len() >= SNAPSHOTS_MAX) {
+        if !added && !is_fresh {
             return;
         }
         if self.snapshots.len() >= SNAPSHOTS_MAX {
-            self.snapshots.remove(0);
+            // Those that join few stations say least; of equals the oldest goes.
+            let joins = |index: &usize| self.snapshots[*index].0.sources().len();
+            let Some(least) = (0..self.snapshots.len()).min_by_key(joins) else {
+                return;
+            };
+            if !added && joins(&least) >= sources.len() {
+                return;
+            }
+            self.snapshots.remove(least);
         }
         self.snapshots.push((snapshot, pose));
         self.adjust();

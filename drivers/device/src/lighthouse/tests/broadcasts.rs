@@ -76,6 +76,7 @@ fn base_stations_say_what_libsurvive_noted() {
             let (at, broadcast) = heard.get(&station.id).unwrap_or_else(|| {
                 panic!("{capture}: {:08x} was not heard: {heard:?}", station.id)
             });
+            println!("{capture}: {:08x} heard after {at:.1} s", station.id);
             assert!(*at < seconds, "{capture}: {at} s");
             assert!(
                 same(broadcast, station),

@@ -18,7 +18,7 @@ use super::{
 use crate::{
     decode::Decoder,
     simulate::{
-        Device, Model, Options, Path, Placement, Simulator, default_stations,
+        Device, Model, Move, Options, Path, Placement, Simulator, default_stations,
         generation_one_stations,
     },
     usb::{Packet, Port},
@@ -351,4 +351,50 @@ fn base_stations_are_found_by_their_light() {
     assert!(first < 2.2, "{first} s");
     let optical = poses.iter().filter(|pose| pose.how == PoseHow::Optical);
     assert!(optical.count() as f64 > 0.95 * poses.len() as f64);
+}
+
+#[test]
+fn a_station_that_is_moved_is_found_again() {
+    let mut stations = default_stations();
+    let moved = BaseStation {
+        position: stations[1].position + DVec3::new(-0.3, 0.1, 0.0),
+        rotation: DQuat::from_rotation_y(0.1) * stations[1].rotation,
+        ..stations[1]
+    };
+    let options = Options {
+        duration_s: 30.0,
+        moves: vec![Move {
+            at_s: 14.0,
+            source: moved.source,
+            position: moved.position,
+            rotation: moved.rotation,
+        }],
+        ..Options::default()
+    };
+    let start = options.start;
+    let (room, tracked) = found(options, |_, _| true);
+    stations[1] = moved;
+    let found: Vec<BaseStation> = room.with(|room| room.stations().copied().collect());
+    assert!(room.with(|room| room.moved()) > 0);
+    let ((place, turn), (truth, true_turn)) = (relative(&found), relative(&stations));
+    let off = (
+        (place - truth).length(),
+        turn.angle_between(true_turn).to_degrees(),
+    );
+    assert!(
+        off.0 < 0.02 && off.1 < 0.5,
+        "{} m, {} degrees",
+        off.0,
+        off.1
+    );
+    let late = tracked[0]
+        .poses
+        .iter()
+        .filter(|pose| pose.at.since_secs(start) > 20.0);
+    assert!(late.clone().count() > 4_000);
+    let optical = late
+        .clone()
+        .filter(|pose| pose.how == PoseHow::Optical)
+        .count();
+    assert!(optical as f64 > 0.95 * late.count() as f64);
 }

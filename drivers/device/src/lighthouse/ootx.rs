@@ -184,11 +184,7 @@ impl BitStream {
 
     /// A bit, or the same bit of an earlier frame, the newest that was seen.
     fn bit(&self, position: u64, period: u64) -> Option<bool> {
-        let frames = if period == 0 {
-            1
-        } else {
-            WINDOW as u64 / period
-        };
+        let frames = (WINDOW as u64).checked_div(period).unwrap_or(1);
         (0..frames).find_map(|back| self.at(position.checked_sub(back * period)?))
     }
 

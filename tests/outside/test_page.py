@@ -4,6 +4,7 @@ import io
 import os
 import pathlib
 import re
+import time
 import urllib.parse
 
 import pytest
@@ -13,6 +14,8 @@ from playwright.sync_api import expect
 LOOPBACK = {"127.0.0.1", "localhost", "::1"}
 # Where screenshots go, for people to look at.
 SCREENSHOTS = os.environ.get("POSED_SCREENSHOTS")
+# Poses a second of the demo.
+RATE_HZ = 90
 SIZES = {"desktop": {"width": 1280, "height": 800}, "phone": {"width": 390, "height": 844}}
 
 
@@ -127,6 +130,95 @@ def test_the_replay_stands_still_and_goes_to_another_time(page):
     page.click("#pause")
     until(page, f"{position} > 4.5")
     assert sequence(page) > still
+
+
+def watched(page, seconds: float) -> dict:
+    """What the page shows meanwhile: frames drawn, poses shown and poses gone on by in a second;
+    the longest time from frame to frame and the greatest age of a pose when it was drawn, ms."""
+    return page.evaluate(
+        """async (seconds) => {
+            const { dataset } = document.body;
+            const start = performance.now();
+            const first = Number(dataset.sequence);
+            let [frames, shown, before, last, longest, oldest] = [0, 0, start, first, 0, 0];
+            while (performance.now() - start < seconds * 1000) {
+                await new Promise(requestAnimationFrame);
+                const now = performance.now();
+                longest = Math.max(longest, now - before);
+                before = now;
+                frames += 1;
+                if (Number(dataset.sequence) === last) continue;
+                last = Number(dataset.sequence);
+                shown += 1;
+                oldest = Math.max(oldest, Number(dataset.age));
+            }
+            const took = (performance.now() - start) / 1000;
+            return { frames: frames / took, shown: shown / took, on: (last - first) / took,
+                longest, oldest };
+        }""",
+        seconds,
+    )
+
+
+def test_a_slow_browser_drops_poses_and_shows_no_old_ones(page):
+    """Chromium draws in software here. Made slower yet, it shows fewer poses, but goes on as fast
+    as they are made, so nothing piles up; and none is older than a few frames."""
+    wait_for(page, "#quality", "full")
+    tools = page.context.new_cdp_session(page)
+    for slower in [1, 8, 20]:
+        tools.send("Emulation.setCPUThrottlingRate", {"rate": slower})
+        watched(page, 1)
+        seen = watched(page, 6)
+        print(f"\n{slower} times slower: " + ", ".join(f"{k} {v:.1f}" for k, v in seen.items()))
+        assert seen["on"] > 0.7 * RATE_HZ, "the pose shown falls behind"
+        # A frame to ask, one to wait, one to draw; the machine may be busy.
+        assert seen["oldest"] < 4 * seen["longest"] + 100, "old poses are shown"
+    assert seen["shown"] < 0.7 * RATE_HZ, "nothing had to be dropped: the test shows nothing"
+    tools.send("Emulation.setCPUThrottlingRate", {"rate": 1})
+
+
+def serving_seconds(demo) -> float:
+    """Processor time of the threads that serve: gRPC and page, and the bridge to them."""
+    total = 0
+    for task in pathlib.Path(f"/proc/{demo.process.pid}/task").iterdir():
+        if (task / "comm").read_text().strip() in {"grpc", "bridge"}:
+            total += int((task / "schedstat").read_text().split()[0])
+    return total * 1e-9
+
+
+def test_the_page_costs_the_daemon_next_to_nothing(browser, demo):
+    """Measured on a page that draws nothing, and so takes as many poses as there are."""
+    opened = browser.new_page()
+    opened.goto(f"{demo.page}page.css")
+
+    def share(expression: str) -> tuple[float, float]:
+        """Share of a core that serving takes while the expression's promise is pending, and what
+        it gives, a second."""
+        before, start = serving_seconds(demo), time.monotonic()
+        count = opened.evaluate(expression)
+        took = time.monotonic() - start
+        return (serving_seconds(demo) - before) / took, count / took
+
+    without, _ = share("new Promise((done) => setTimeout(() => done(0), 10_000))")
+    with_page, poses = share(
+        """new Promise((done, failed) => {
+            const socket = new WebSocket(`ws://${location.host}/live`);
+            let poses = 0;
+            socket.binaryType = "arraybuffer";
+            socket.onopen = () => socket.send("1");
+            socket.onmessage = ({ data }) => {
+                if (typeof data === "string") return;
+                poses += 1;
+                socket.send("1");
+            };
+            socket.onerror = failed;
+            setTimeout(() => done(poses), 10_000);
+        })"""
+    )
+    opened.close()
+    print(f"\nserving: {with_page:.2%} of a core with {poses:.0f} poses/s, {without:.2%} without")
+    assert poses > 0.5 * RATE_HZ
+    assert (with_page - without) * RATE_HZ / poses < 0.03
 
 
 def test_poses_are_recorded(page, demo):

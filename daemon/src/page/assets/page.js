@@ -17,6 +17,9 @@ let height = null;
 // Poses drawn, and poses that the daemon made meanwhile.
 let shown = 0;
 let span = 0;
+// When the last credit was granted, ms, and the oldest pose drawn since the last count.
+let grantedAt = 0;
+let oldest = 0;
 
 let scene = null;
 try {
@@ -47,7 +50,7 @@ function connect() {
   socket.onopen = () => {
     link("connected", "good");
     say("Waiting for the first pose.");
-    socket.send("1");
+    grant();
   };
   socket.onmessage = ({ data }) => {
     if (data instanceof ArrayBuffer) takePose(new DataView(data));
@@ -59,6 +62,16 @@ function connect() {
     setTimeout(connect, RETRY_MS);
   };
 }
+
+// A pose answers a credit: it was the newest then, or is younger. So it is never older than that,
+// and one period more.
+function grant() {
+  if (socket.readyState !== WebSocket.OPEN) return;
+  grantedAt = performance.now();
+  socket.send("1");
+}
+
+const age = () => performance.now() - grantedAt + period();
 
 function link(text, state) {
   find("link").textContent = text;
@@ -142,7 +155,11 @@ function frame(now) {
   press(find("trackers"), by);
   if (pose.contacts.length && find("force").hidden) find("force").hidden = false;
   document.body.dataset.sequence = pose.sequence;
-  if (socket.readyState === WebSocket.OPEN) socket.send("1");
+  // A replay that stands still has no newer pose.
+  const old = replaying?.paused ? 0 : age();
+  document.body.dataset.age = old;
+  oldest = Math.max(oldest, old);
+  grant();
 }
 
 // Shows which of a group's buttons holds, once for each change.
@@ -319,7 +336,9 @@ let counted = { at: 0, shown: 0, span: 0 };
 setInterval(() => {
   const next = { at: performance.now(), shown, span };
   const rate = (name) => Math.round((next[name] - counted[name]) * 1000 / (next.at - counted.at));
-  find("frames").textContent = pose ? `${rate("shown")} of ${rate("span")} poses/s shown` : "";
+  const rates = `${rate("shown")} of ${rate("span")} poses/s shown`;
+  find("frames").textContent = pose ? `${rates}, ${Math.round(oldest)} ms old at most` : "";
+  oldest = 0;
   counted = next;
 }, 1000);
 

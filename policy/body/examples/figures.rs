@@ -178,6 +178,8 @@ struct Stream {
     skeleton: Skeleton,
     truth: Vec<BodyPose>,
     shown: Vec<BodyPose>,
+    /// What it said of the feet.
+    contacts: Vec<Option<[f32; 2]>>,
 }
 
 fn streams(clips: &[Clip], mut shown: impl FnMut(&BodyPose) -> BodyPose) -> Vec<Stream> {
@@ -185,6 +187,7 @@ fn streams(clips: &[Clip], mut shown: impl FnMut(&BodyPose) -> BodyPose) -> Vec<
         skeleton: clip.skeleton,
         truth: clip.frames.clone(),
         shown: clip.frames.iter().map(&mut shown).collect(),
+        contacts: vec![None; clip.frames.len()],
     };
     clips.iter().map(stream).collect()
 }
@@ -211,10 +214,16 @@ fn tracked(path: &Path, every: usize) -> Result<Vec<Stream>, Box<dyn std::error:
             &numbers("predicted_rotations")?,
         );
         let skeleton = skeleton_of(&joints[..3 * JOINTS], &truth[0]);
+        let said = |feet: &[f32]| {
+            let [left, right] = [feet[0], feet[1]];
+            (!left.is_nan()).then_some([left, right])
+        };
+        let contacts = numbers("contacts")?.chunks(2).map(said).collect();
         streams.push(Stream {
             skeleton,
             truth,
             shown,
+            contacts,
         });
     }
     Ok(streams)
@@ -259,11 +268,11 @@ fn optimise(set: &str, streams: &[Stream]) {
         let truth: Places = stream.truth.iter().map(places).collect();
         let input: Places = stream.shown.iter().map(places).collect();
         let mut output = Places::new();
-        for pose in &stream.shown {
+        for (pose, &contacts) in stream.shown.iter().zip(&stream.contacts) {
             let reference = Reference {
                 pose,
                 velocities: None,
-                contacts: None,
+                contacts,
             };
             let started = Instant::now();
             let solved = optimiser.step(&reference, &Ground::Flat);

@@ -10,7 +10,9 @@ use posed_tracker::{
 };
 
 /// Writes for each clip `<number>_<name>/{predicted,true}_{joints,rotations}`: joints are (frames,
-/// 22, 3) in metres, rotations (frames, 22, 4) local quaternions x, y, z, w; posed's world.
+/// 22, 3) in metres, rotations (frames, 22, 4) local quaternions x, y, z, w; posed's world. And
+/// `<number>_<name>/contacts`, (frames, 2): what the tracker says of how likely the left and the
+/// right foot stand, NaN where it does not.
 ///
 /// # Errors
 /// The file cannot be written.
@@ -31,7 +33,10 @@ fn both(archive: &mut Archive, folder: &str, dump: &Dump) -> io::Result<()> {
         joints(archive, &format!("{folder}/{kind}_joints"), track)?;
         rotations(archive, &format!("{folder}/{kind}_rotations"), track)?;
     }
-    Ok(())
+    let said = |contacts: &Option<[f32; 2]>| contacts.unwrap_or([f32::NAN; 2]);
+    let contacts = dump.contacts.iter().flat_map(said);
+    let shape = [dump.contacts.len(), 2];
+    array(archive, &format!("{folder}/contacts"), &shape, contacts)
 }
 
 fn joints(archive: &mut Archive, name: &str, track: &Track) -> io::Result<()> {

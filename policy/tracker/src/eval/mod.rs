@@ -116,6 +116,8 @@ pub struct Dump {
     pub truth: Track,
     /// The same as poses.
     pub true_poses: Vec<BodyPose>,
+    /// Probabilities that the left and the right foot stand, where the tracker says them.
+    pub contacts: Vec<Option<[f32; 2]>>,
 }
 
 /// What came of one clip.
@@ -153,6 +155,7 @@ pub fn evaluate(clip: &Clip, tracker: &mut dyn Tracker, options: &Options) -> Cl
     tracker.begin(&trajectory.pose(0.0));
     let frames = (trajectory.duration() * options.rate_hz + 1e-6) as usize + 1;
     let mut predicted = Vec::with_capacity(frames);
+    let mut contacts = Vec::with_capacity(frames);
     let (mut sure, mut own) = (0usize, 0usize);
     for frame in 0..frames {
         stage.push_until(frame + options.lookahead as usize);
@@ -171,6 +174,7 @@ pub fn evaluate(clip: &Clip, tracker: &mut dyn Tracker, options: &Options) -> Cl
         sure += usize::from(tracked.quality >= Quality::Partial);
         own += usize::from(tracked.kind == tracker.kind());
         predicted.push(tracked.pose);
+        contacts.push(tracker.contacts());
     }
     let hands_seen = stage.hands_seen();
     let at = |frame: usize| trajectory.pose(frame as f64 / options.rate_hz);
@@ -198,6 +202,7 @@ pub fn evaluate(clip: &Clip, tracker: &mut dyn Tracker, options: &Options) -> Cl
             predicted_poses: predicted.to_vec(),
             truth,
             true_poses: true_poses.to_vec(),
+            contacts: contacts.split_off(first),
         }),
     }
 }

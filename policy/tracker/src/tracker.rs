@@ -214,7 +214,7 @@ pub trait Tracker: Send {
     fn track(&mut self, input: &Input<'_>) -> Tracked;
 
     /// Probabilities that the left and the right foot stand in the pose given last, by a tracker
-    /// that estimates them; physics then need not guess.
+    /// that estimates them.
     fn contacts(&self) -> Option<[f32; 2]> {
         None
     }

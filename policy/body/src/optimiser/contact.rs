@@ -104,7 +104,8 @@ pub struct Feet {
     half_width: f64,
 }
 
-fn ramp(value: f64, [full, none]: [f64; 2]) -> f64 {
+/// One up to `full`, zero from `none` on, smooth between.
+pub(super) fn ramp(value: f64, [full, none]: [f64; 2]) -> f64 {
     let t = ((none - value) / (none - full)).clamp(0.0, 1.0);
     t * t * (3.0 - 2.0 * t)
 }

@@ -25,7 +25,7 @@ def model_card(name, facts):
     training, config = facts["training"], facts["config"]
     flags = " ".join(
         f"--{k.replace('_', '-')} {v}" for k, v in training["arguments"].items()
-        if k in ("model", "batch", "frames", "stride", "rate", "seed")
+        if k in ("model", "only", "batch", "frames", "stride", "rate", "seed") and v != "None"
     )
     return f"""# {name}
 
@@ -60,5 +60,5 @@ tracker as it runs, with physics.
 ## Limits
 
 Trained on few people and mostly on walking, gestures and idling. Lying, crawling and acrobatics
-are outside. Sitting is rare in the data.
+are outside. Sitting is rare in the data: who sits down is often shown standing.
 """

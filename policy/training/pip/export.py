@@ -28,8 +28,22 @@ def export(model, path):
         output_names=OUTPUTS, opset_version=OPSET, dynamo=False, do_constant_folding=True,
     )
     graph = onnx.load(str(path))
+    keep_inputs(graph, model)
+    onnx.save(graph, str(path))
     onnx.checker.check_model(graph, full_check=True)
     return graph
+
+
+def keep_inputs(graph, model):
+    """A runtime gives every input, also where an ablation does not use one."""
+    given = {i.name: i for i in graph.graph.input}
+    every = [
+        given.get(name) or onnx.helper.make_tensor_value_info(
+            name, onnx.TensorProto.FLOAT, list(example.shape))
+        for name, example in zip(INPUTS, example_inputs(model))
+    ]
+    del graph.graph.input[:]
+    graph.graph.input.extend(every)
 
 
 def compare(model, path):

@@ -2,9 +2,11 @@
 //!
 //! Prints: what each stage costs per tick, how much faster than real time a replay runs, and how
 //! long a USB report takes until the first pose that it had a part in is published, with the
-//! source and the tracker on threads of their own at 90 Hz, as live.
+//! source and the tracker on threads of their own at 90 Hz, as live: for the headset of the embedded
+//! capture, and for PIP with six simulated SlimeVR trackers.
 
 use std::{
+    io::Cursor,
     sync::{Arc, Mutex, atomic::Ordering},
     time::{Duration, Instant},
 };
@@ -13,14 +15,20 @@ use posed::{
     assemble::{Assembly, Options, assemble},
     clock::Monotonic,
     commands::demo,
+    models::Models,
     pipeline::live::{Shared, spawn_source, spawn_tracker},
+    postures,
+    simulated::{self, Person},
 };
 use posed_device::{
+    capture::{UsbmonOptions, UsbmonWriter, open},
     decode::Command,
-    transport::{Event, Replay, Transport, TransportError},
+    simulate::slimevr,
+    transport::{Event, Merge, Recording, Replay, Transport, TransportError},
     usb::Port,
 };
-use posed_signal::{Clock as _, HostTime, VirtualClock};
+use posed_signal::{Clock as _, HostTime, Role, Serial, VirtualClock};
+use posed_tracker::TrackerKind;
 
 const RATE_HZ: f64 = 90.0;
 /// Seconds of the capture that the live measurement takes.
@@ -32,7 +40,55 @@ fn main() {
         return;
     }
     stages();
-    live();
+    live("embedded capture", replay(), options());
+    live(
+        "PIP, six trackers",
+        trackers_replay(),
+        trackers_options().expect("ONNX Runtime is fetched by make native"),
+    );
+}
+
+const WORN: [Role; 6] = [
+    Role::Waist,
+    Role::LeftKnee,
+    Role::RightKnee,
+    Role::LeftWrist,
+    Role::RightWrist,
+    Role::Head,
+];
+
+/// USB traffic of six trackers, whose wearer first stands still and so calibrates them.
+fn trackers_replay() -> Replay {
+    let clip = postures::before(&simulated::built_in(1.75, 1));
+    let trackers = Person::new(&clip).trackers(&WORN, 3);
+    let port = Port { bus: 1, address: 7 };
+    let receiver = slimevr::Receiver::new(slimevr::Options::default(), port, trackers);
+    let mut writer = UsbmonWriter::new(Vec::new(), UsbmonOptions::default()).expect("a Vec");
+    for packet in receiver.expect("six are not too many") {
+        writer.packet(&packet).expect("a Vec takes everything");
+    }
+    let bytes = Cursor::new(writer.finish().expect("a Vec"));
+    let recording = Recording {
+        name: "simulated".into(),
+        reader: open(bytes).expect("a capture"),
+        devices: Vec::new(),
+    };
+    Replay::new(vec![recording], Merge::OneSession)
+}
+
+fn trackers_options() -> Result<Options, posed_tracker::inference::InferenceError> {
+    let mut options = Options {
+        trackers: Models::load()?
+            .tracker(TrackerKind::Pip)?
+            .into_iter()
+            .collect(),
+        tracker: TrackerKind::Pip,
+        ..Options::default()
+    };
+    let serial = |index| Serial::new(&simulated::tracker_serial(index));
+    let roles = WORN.iter().enumerate();
+    options.rig.roles = roles.map(|(index, role)| (serial(index), *role)).collect();
+    Ok(options)
 }
 
 fn options() -> Options {
@@ -156,17 +212,17 @@ impl Transport for Paced {
 }
 
 /// Source and tracker on their threads, against the real clock.
-fn live() {
+fn live(what: &str, capture: Replay, options: Options) {
     let arrivals = Arc::new(Mutex::new(Vec::with_capacity(200_000)));
     let paced = Paced {
-        inner: replay(),
+        inner: capture,
         pending: None,
         origin: None,
         arrivals: Arc::clone(&arrivals),
     };
     let Assembly {
         source, tracker, ..
-    } = assemble(Box::new(paced), options());
+    } = assemble(Box::new(paced), options);
     let shared = Arc::new(Shared::default());
     let source = spawn_source(source, Arc::clone(&shared), |_| {}, |_| {}).expect("a thread");
     let published = Arc::new(Mutex::new(Vec::with_capacity(10_000)));
@@ -193,7 +249,7 @@ fn live() {
     }
     let period_us = 1e6 / RATE_HZ;
     println!(
-        "report in -> pose published, live threads, {RATE_HZ} Hz (a tick is {period_us:.0} us)"
+        "{what}: report in -> pose published, live threads, {RATE_HZ} Hz (a tick is {period_us:.0} us)"
     );
     println!("  {}", quantiles(waits));
     println!(

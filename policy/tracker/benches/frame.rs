@@ -2,7 +2,8 @@
 //! of PIP: networks, and optimiser.
 //!
 //! Prints medians, 99th percentiles and maxima over the built-in human's forty seconds, three times
-//! over, for every model in policy/models.
+//! over, for every model in policy/models, or those whose name holds the argument:
+//! `cargo bench -p posed-tracker --bench frame -- pip`.
 
 use std::{path::Path, time::Instant};
 
@@ -24,11 +25,18 @@ fn main() {
     if std::env::args().any(|argument| argument == "--test") {
         return;
     }
+    let only = std::env::args()
+        .skip(1)
+        .find(|argument| !argument.starts_with('-'));
+    let wanted = |name: &str| only.as_ref().is_none_or(|only| name.contains(only));
     let library = std::env::var_os("ORT_DYLIB_PATH").expect("cargo sets ORT_DYLIB_PATH");
     let runtime = Runtime::load(Path::new(&library)).expect("run `make native` first");
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../models");
     let clip = procedural::timeline(1.75, 4);
-    for name in ["hmd_nemo_small", "hmd_nemo_full"] {
+    for name in ["hmd_nemo_small", "hmd_nemo_full"]
+        .into_iter()
+        .filter(|name| wanted(name))
+    {
         let Ok(model) = std::fs::read(folder.join(format!("{name}.onnx"))) else {
             continue;
         };
@@ -53,7 +61,10 @@ fn main() {
             report("+ physics", &mut physical, &clip, rate);
         }
     }
-    for name in ["pip_small", "pip_full"] {
+    for name in ["pip_small", "pip_full"]
+        .into_iter()
+        .filter(|name| wanted(name))
+    {
         let Ok(model) = std::fs::read(folder.join(format!("{name}.onnx"))) else {
             continue;
         };

@@ -18,6 +18,7 @@ from .sensors import COUNT, JOINTS_OF, SensorError, features, measure, usual_pla
 SET_WEIGHTS = {
     "bandai": 0.30, "snu": 0.14, "fubot": 0.12, "cmu_amc2": 0.19, "cmu_amc": 0.03,
     "cmu_bvh": 0.06, "cmu_cc": 0.03, "cmu_expmap": 0.05, "cmu_poser": 0.05, "reactidle": 0.03,
+    "sitting": 0.35,
 }
 LEAVES = [20, 21, 7, 8, 15]
 """Leaf joints: wrists, ankles, head."""
@@ -26,6 +27,8 @@ REDUCED = [1, 2, 3, 4, 5, 6, 9, 12, 13, 14, 15, 16, 17, 18, 19]
 SPLICE = 0.3
 VISIT = 12
 """Chunks after which a lane leaves a clip."""
+VISIT_SITTING = 60
+"""The same of people who sit (`posed_mocap.sitting`): it is for how long that matters."""
 PAUSE = 0.04
 """Share of chunks after which a lane stops for a while."""
 SMOOTHING = torch.tensor([4, 4, 4, 3, 2])
@@ -101,7 +104,10 @@ class Lanes:
                 weight[mine] = share * length[mine] / length[mine].sum()
         # Long clips keep a lane longer, so they are begun less often: shares hold in time.
         chunks = length / self.span
-        stay = torch.where(chunks < VISIT, chunks / 2, VISIT - VISIT**2 / (2 * chunks)) + 1
+        self.visit = torch.tensor(
+            [VISIT_SITTING if s == "sitting" else VISIT for s in motions.sources])
+        visit = self.visit.double()
+        stay = torch.where(chunks < visit, chunks / 2, visit - visit**2 / (2 * chunks)) + 1
         self.weight, self.length = weight / stay, length.long()
         self.place = usual_place(motions.offsets)
         b = batch
@@ -163,7 +169,7 @@ class Lanes:
         """Renews ended lanes; returns which lanes (B,) begin with a fresh memory."""
         lane = self.lane
         need = lane["place"] + self.span + MARGIN
-        ended = (need >= self.length[lane["clip"]]) | (lane["visit"] >= VISIT)
+        ended = (need >= self.length[lane["clip"]]) | (lane["visit"] >= self.visit[lane["clip"]])
         ended = (ended & (lane["pause"] == 0)).nonzero().squeeze(1)
         reset = torch.zeros(self.batch, dtype=torch.bool)
         if len(ended):

@@ -13,10 +13,12 @@ from pip.model import CONFIGS, Pip, select
 from pip.motion import Motions, build, from_arrays
 from pip.sensors import ACCELERATION, JOINTS_OF, NoError, SensorError, features, measure
 from pip.train import Run
+from posed_mocap import sitting
 from posed_mocap import store as stores
 from posed_mocap.amass import AVERAGE_OFFSETS
 from posed_mocap.clips import Clip
 from posed_mocap.rotations import geodesic, quat_to_matrix, rotvec_to_quat, yaw_matrix
+from posed_mocap.skeleton import forward_kinematics
 
 
 def made_up_motions(clips=6, frames=300):
@@ -198,3 +200,16 @@ def test_losses_of_the_truth_vanish():
     out = {"leaves": batch.leaves, "joints": batch.joints, "rotations": batch.rotations.flatten(2),
            "velocities": batch.velocities, "contact": 20 * (batch.contact - 0.5)}
     assert all(v < 1e-3 for v in losses(out, batch).values())
+
+
+def test_people_who_sit_are_people_and_keep_their_feet_still():
+    clip = sitting.sitter(np.random.default_rng(3), "sitter")
+    assert np.abs(np.linalg.norm(clip.quats, axis=-1) - 1).max() < 1e-4
+    _, places = forward_kinematics(
+        quat_to_matrix(torch.from_numpy(clip.quats)), torch.from_numpy(clip.offsets))
+    places = places.numpy() + clip.root[:, None]
+    feet = places[:, [7, 8]].mean(1)
+    assert np.abs(feet - feet[0]).max() < 1e-3
+    assert places[:, [10, 11], 1].min() > -0.1
+    pelvis = places[:, 0, 1]
+    assert pelvis.max() - pelvis.min() > 0.2, "somebody sits down"

@@ -35,6 +35,7 @@ pub fn run(args: &RunArgs) -> Result<(), CommandError> {
     let stations = &options.rig.devices.lighthouse.base_stations;
     let stations = stations.iter().map(Station::from).collect();
     let mut keeper = keeper(&options);
+    let room = options.rig.devices.lighthouse.room.clone();
     let (transport, stop) = live::transport()?;
     let trackers = options.choices();
     let Assembly {
@@ -74,6 +75,9 @@ pub fn run(args: &RunArgs) -> Result<(), CommandError> {
         notifier.ticks(shared.ticks.load(Ordering::Acquire), Monotonic.now());
         if let Some(Err(error)) = keeper.as_mut().map(|keeper| keeper.look(Monotonic.now())) {
             tracing::warn!("the room cannot be kept: {error}");
+        }
+        for trouble in room.with(|room| room.take_troubles()) {
+            tracing::warn!("{trouble}");
         }
     }
     if let Some(Err(error)) = keeper.as_mut().map(Keeper::keep) {

@@ -217,6 +217,7 @@ impl Device {
             Seen::Broadcast(source, broadcast) => {
                 settings.room.with(|room| room.heard(source, &broadcast));
             }
+            Seen::Shared(source) => settings.room.with(|room| room.shared(source)),
         });
     }
 

@@ -177,6 +177,7 @@ impl Inspector {
         let report = &mut self.report;
         self.light.event(&event, &mut |seen| match seen {
             Seen::Sweep(sweep) => report.stations.entry(sweep.source).or_default().sweeps += 1,
+            Seen::Shared(_) => {}
             Seen::Broadcast(source, broadcast) => {
                 let entry = report.stations.entry(source).or_default();
                 entry.broadcasts += 1;

@@ -34,6 +34,8 @@ pub enum Seen {
     Sweep(Sweep),
     /// A base station has finished saying what it is. Comes again with every frame of its data.
     Broadcast(Source, Broadcast),
+    /// Two base stations are set to this channel: their light tells nothing.
+    Shared(Source),
 }
 
 /// One base station of generation 2.
@@ -103,7 +105,13 @@ impl Light {
                 synced: None,
             })
         });
-        if !beacon.rotor.sync(ticks) {
+        let agrees = beacon.rotor.sync(ticks);
+        if beacon.rotor.is_shared() {
+            beacon.bits = BitStream::default();
+            seen(Seen::Shared(Source::Channel(channel)));
+            return;
+        }
+        if !agrees {
             return;
         }
         let turn = TICKS_PER_SECOND / ROTOR_HZ[usize::from(channel)];

@@ -240,7 +240,7 @@ mod tests {
     fn source(seen: &Seen) -> (Source, u8) {
         match seen {
             Seen::Sweep(sweep) => (sweep.source, sweep.plane),
-            Seen::Broadcast(source, _) => (*source, 9),
+            Seen::Broadcast(source, _) | Seen::Shared(source) => (*source, 9),
         }
     }
 

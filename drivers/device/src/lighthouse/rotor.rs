@@ -13,6 +13,10 @@ const SYNC_TOLERANCE: f64 = 200.0;
 const FIRST_TOLERANCE: f64 = 1_000.0;
 /// Misplaced syncs in a row that agree with each other replace the rotor's phase.
 const RELOCK_SYNCS: u8 = 2;
+/// Weight of a sync in the running share of those that did not agree, and the share from which on two
+/// base stations are taken to be set to the channel: with two, half of all syncs do not agree.
+const RUNNING: f64 = 0.02;
+const SHARED: f64 = 0.25;
 /// Revolutions over which the phase is foretold without a sync: 0.6 s, as the drift of rotors in
 /// captures allows for 1e-4 rad.
 const COAST_REVOLUTIONS: f64 = 30.0;
@@ -43,6 +47,8 @@ pub struct Rotor {
     /// The newest sync that did not agree, and how many of them agree with each other.
     stray: f64,
     strays: u8,
+    /// Running share of syncs that did not agree.
+    astray: f64,
 }
 
 impl Rotor {
@@ -57,11 +63,26 @@ impl Rotor {
             agreed: 0,
             stray: 0.0,
             strays: 0,
+            astray: 0.0,
         }
+    }
+
+    /// Whether two base stations are set to this channel, so that nothing can be told from its light.
+    #[must_use]
+    pub fn is_shared(&self) -> bool {
+        self.astray > SHARED
     }
 
     /// A sync came. Returns whether it belongs to the rotor's sequence.
     pub fn sync(&mut self, ticks: f64) -> bool {
+        let agreed = self.take(ticks);
+        let relocked = agreed && self.agreed == 1;
+        let astray = f64::from(u8::from(!agreed || relocked));
+        self.astray += RUNNING * (astray - self.astray);
+        agreed
+    }
+
+    fn take(&mut self, ticks: f64) -> bool {
         if self.agreed == 0 {
             self.lock(ticks);
             return true;
@@ -109,6 +130,7 @@ impl Rotor {
             agreed: 1,
             stray: ticks,
             strays: 0,
+            astray: self.astray,
         };
     }
 
@@ -134,7 +156,7 @@ impl Rotor {
     pub fn reading(&self, ticks: f64) -> Option<Reading> {
         use std::f64::consts::{PI, TAU};
         let turns = (ticks - self.zero) / self.period;
-        if self.agreed < 3 || turns.abs() > COAST_REVOLUTIONS {
+        if self.agreed < 3 || turns.abs() > COAST_REVOLUTIONS || self.is_shared() {
             return None;
         }
         let angle = (turns - turns.floor()) * TAU;
@@ -200,6 +222,30 @@ mod tests {
             .map(|n| rotor.sync((f64::from(n) + 0.37) * PERIOD))
             .collect();
         assert_eq!(taken, [false, false, true, true]);
+    }
+
+    #[test]
+    fn two_stations_on_a_channel_are_noticed() {
+        let mut rotor = Rotor::new(6);
+        let syncs = |rotor: &mut Rotor, from: u32, second: bool| {
+            for n in from..from + 200 {
+                let turn = f64::from(n);
+                rotor.sync(turn * PERIOD);
+                if second {
+                    rotor.sync((turn + 0.4 + 1e-4 * turn) * PERIOD);
+                } else if n % 20 == 0 {
+                    rotor.sync((turn + 0.7) * PERIOD);
+                }
+            }
+        };
+        syncs(&mut rotor, 0, false);
+        assert!(!rotor.is_shared(), "a reflection now and then");
+        assert!(rotor.reading(199.3 * PERIOD).is_some());
+        syncs(&mut rotor, 200, true);
+        assert!(rotor.is_shared());
+        assert_eq!(rotor.reading(399.3 * PERIOD), None);
+        syncs(&mut rotor, 400, false);
+        assert!(!rotor.is_shared(), "one of them was set to another");
     }
 
     proptest! {

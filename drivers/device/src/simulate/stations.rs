@@ -87,7 +87,7 @@ pub fn four_stations() -> Vec<BaseStation> {
     stations
 }
 
-/// Two base stations of generation 1, A and b, in the places of [`default_stations`].
+/// Two base stations of generation 1, one that flashes first and one second, in the places of [`default_stations`].
 #[must_use]
 pub fn generation_one_stations() -> Vec<BaseStation> {
     let plane = |values: [f64; 5]| {
@@ -145,7 +145,9 @@ pub fn write_libsurvive(stations: &[BaseStation]) -> String {
              \"fcalogeemag\":{},\n\"OOTXSet\":\"1\",\n\"PositionSet\":\"1\"\n}}\n",
             station.id as i32,
             match station.source {
-                Source::Slot(number) | Source::Channel(number) => number,
+                // b flashes first, c second.
+                Source::Slot(slot) => slot + 1,
+                Source::Channel(channel) => channel,
             },
             numbers(&pose),
             both(|plane| plane.phase),

@@ -16,6 +16,7 @@ pub(super) mod snapshot;
 mod stored;
 #[cfg(test)]
 mod tests;
+mod trouble;
 
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -31,6 +32,8 @@ use super::{
 pub use floor::Floor;
 pub(super) use floor::Upright;
 pub use stored::{Stored, StoredError};
+pub use trouble::Trouble;
+use trouble::Troubles;
 
 /// Snapshots kept.
 const SNAPSHOTS_MAX: usize = 24;
@@ -116,6 +119,7 @@ pub struct Room {
     carried: Option<Frame>,
     /// How often stations were seen to have moved, or to be others.
     moved: u64,
+    troubles: Troubles,
 }
 
 impl Default for Room {
@@ -130,6 +134,7 @@ impl Default for Room {
             world: 0,
             carried: None,
             moved: 0,
+            troubles: Troubles::default(),
         }
     }
 }
@@ -260,6 +265,17 @@ impl Room {
             .retain(|(snapshot, _)| !snapshot.glimpses.is_empty());
         self.moved += 1;
         self.revision += 1;
+        self.troubles.add(Trouble::Moved(source));
+    }
+
+    /// Two stations are set to one channel.
+    pub(super) fn shared(&mut self, source: Source) {
+        self.troubles.add(Trouble::Shared(source));
+    }
+
+    /// What went wrong since this was asked last, and the wearer should know.
+    pub fn take_troubles(&mut self) -> Vec<Trouble> {
+        self.troubles.take()
     }
 
     /// The light of a station keeps disagreeing with that of the others.

@@ -11,7 +11,7 @@ use super::{
         base_station::{BaseStation, Source},
         decoder,
         inspect::Inspector,
-        room::Handle,
+        room::{Handle, Trouble},
     },
     Tracked, quantile,
 };
@@ -375,7 +375,11 @@ fn a_station_that_is_moved_is_found_again() {
     let (room, tracked) = found(options, |_, _| true);
     stations[1] = moved;
     let found: Vec<BaseStation> = room.with(|room| room.stations().copied().collect());
-    assert!(room.with(|room| room.moved()) > 0);
+    let troubles = room.with(|room| room.take_troubles());
+    assert!(
+        troubles.contains(&Trouble::Moved(moved.source)),
+        "{troubles:?}"
+    );
     let ((place, turn), (truth, true_turn)) = (relative(&found), relative(&stations));
     let off = (
         (place - truth).length(),

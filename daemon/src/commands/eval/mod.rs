@@ -19,7 +19,7 @@ use std::{
 use indicatif::{ProgressBar, ProgressStyle};
 use posed_body::motion::{Clip, MotionSet};
 use posed_tracker::{
-    eval::{ClipResult, Options, Report, Row, continuous, evaluate},
+    eval::{ClipResult, Options, Report, Row, Trend, continuous, evaluate},
     metrics::{Metric, Scores},
 };
 use serde_json::json;
@@ -27,6 +27,9 @@ use serde_json::json;
 use super::CommandError;
 use crate::cli::EvalArgs;
 use source::Source;
+
+/// Minutes at both ends of a long input that are compared.
+const TREND_MINUTES: usize = 2;
 
 /// One clip of one set.
 #[derive(Debug, Clone, Copy)]
@@ -132,6 +135,13 @@ fn through(
             stretch.unsound,
         );
     }
+    let trend = Trend::of(&stretches, TREND_MINUTES);
+    let (first, last) = (trend.first_cm, trend.last_cm);
+    println!(
+        "first {TREND_MINUTES} minutes {:.3} joined, {:.3} fresh; last {:.3}, {:.3}; joined less \
+         fresh grows by {:.4} cm a minute",
+        first[0], first[1], last[0], last[1], trend.slope_cm_per_min,
+    );
     Ok(())
 }
 

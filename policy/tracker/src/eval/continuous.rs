@@ -63,6 +63,58 @@ impl Stretch {
     }
 }
 
+/// How the error of a long input changes with time.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Trend {
+    /// Mean over the first minutes: never reset, reset at every clip; centimetres.
+    pub first_cm: [f64; 2],
+    /// Mean over as many minutes at the end.
+    pub last_cm: [f64; 2],
+    /// Least-squares slope of what the memory costs, first less second, over time: centimetres a
+    /// minute. The motions' own difficulty, which both meet, is not in it.
+    pub slope_cm_per_min: f64,
+}
+
+impl Trend {
+    /// Over consecutive minutes; the first and last `ends` of them are compared. A minute that was
+    /// cut short counts by its frames.
+    #[must_use]
+    pub fn of(stretches: &[Stretch], ends: usize) -> Self {
+        let mean = |part: &[Stretch], value: fn(&Stretch) -> f64| {
+            let frames: f64 = part.iter().map(|one| one.frames as f64).sum();
+            let sum: f64 = part.iter().map(|one| one.frames as f64 * value(one)).sum();
+            sum / frames.max(1.0)
+        };
+        let both = |part: &[Stretch]| {
+            [
+                mean(part, |one| one.through_cm),
+                mean(part, |one| one.fresh_cm),
+            ]
+        };
+        let cost = |one: &Stretch| one.through_cm - one.fresh_cm;
+        let ends = ends.min(stretches.len());
+        let frames: f64 = stretches.iter().map(|one| one.frames as f64).sum();
+        let minutes = stretches.iter().enumerate().map(|(n, one)| (n as f64, one));
+        let middle = minutes
+            .clone()
+            .map(|(n, one)| n * one.frames as f64)
+            .sum::<f64>()
+            / frames.max(1.0);
+        let mean_cost = mean(stretches, cost);
+        let (mut joint, mut own) = (0.0, 0.0);
+        for (n, one) in minutes {
+            let weight = one.frames as f64;
+            joint += weight * (n - middle) * (cost(one) - mean_cost);
+            own += weight * (n - middle) * (n - middle);
+        }
+        Self {
+            first_cm: both(&stretches[..ends]),
+            last_cm: both(&stretches[stretches.len() - ends..]),
+            slope_cm_per_min: if own > 0.0 { joint / own } else { 0.0 },
+        }
+    }
+}
+
 /// Runs both trackers over `clips`, each set down where the one before ended and turned the same
 /// way, for at most `seconds`; a result for every minute.
 pub fn continuous(
@@ -207,6 +259,26 @@ mod tests {
 
     use super::*;
     use crate::Ik;
+
+    #[test]
+    fn a_cost_that_grows_is_told_from_motions_that_get_harder() {
+        let stretch = |minute: u8| {
+            let minute = f64::from(minute);
+            Stretch {
+                frames: 3600,
+                through_cm: 2.0 + 0.5 * minute + 0.02 * minute,
+                fresh_cm: 2.0 + 0.5 * minute,
+                ..Stretch::default()
+            }
+        };
+        let ten: Vec<_> = (0..10).map(stretch).collect();
+        let trend = Trend::of(&ten, 2);
+        assert!((trend.slope_cm_per_min - 0.02).abs() < 1e-9, "{trend:?}");
+        assert!((trend.first_cm[1] - 2.25).abs() < 1e-9, "{trend:?}");
+        assert!((trend.last_cm[0] - (6.25 + 0.17)).abs() < 1e-9, "{trend:?}");
+        assert_eq!(Trend::of(&ten[..1], 2).slope_cm_per_min, 0.0);
+        assert_eq!(Trend::of(&[], 2), Trend::default());
+    }
 
     #[test]
     fn a_reset_where_clips_begin_is_all_that_tells_the_two_apart() {

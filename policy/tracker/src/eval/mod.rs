@@ -23,7 +23,7 @@ use crate::{
 };
 
 pub use class::motion_class;
-pub use continuous::{Stretch, continuous};
+pub use continuous::{Stretch, Trend, continuous};
 pub use inertial::Straps;
 pub use report::{Report, Row};
 pub use sensors::{Frustum, Sensors, Shown};

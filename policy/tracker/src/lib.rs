@@ -3,6 +3,7 @@
 mod carry;
 pub mod eval;
 mod fade;
+mod gather;
 mod geometry;
 pub mod hmd_nemo;
 pub mod ik;
@@ -17,6 +18,7 @@ mod steps;
 pub mod tracker;
 pub mod worn;
 
+pub use gather::gather;
 pub use hmd_nemo::HmdNemo;
 pub use ik::Ik;
 pub use physics::Physical;

@@ -45,8 +45,8 @@ const GAP_MAX: f32 = 0.5;
 /// How the tracker works; the default is what ships.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Options {
-    /// Whether the answer is moved to meet headset and hands, and standing feet are kept in place;
-    /// otherwise it only hangs from the head joint.
+    /// Whether the answer is moved to meet headset and hands, standing feet are kept in place and
+    /// the pelvis stays above the floor; otherwise it only hangs from the head joint.
     pub refine: bool,
     /// How hands are met.
     pub energy: Energy,
@@ -136,6 +136,7 @@ impl HmdNemo {
         self.contact = answer.contact;
         let mut draft = Draft::new(answer.rotations, head, skeleton);
         if self.options.refine {
+            draft.clear_floor();
             draft.meet_head(head);
             self.feet.keep(&mut draft, answer.contact, dt);
             for side in 0..2 {

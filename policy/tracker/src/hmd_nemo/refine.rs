@@ -5,7 +5,8 @@
 //! term is met in closed form by the root, the neck and the head joint, and each hand's by its arm:
 //! the elbow keeps the predicted swivel, and every bone turns the short way, so that predicted
 //! twists stay. The collar helps where the arm is too short. The spine is left as it is, legs keep
-//! standing feet in place ([`super::plant`]).
+//! standing feet in place ([`super::plant`]). A body whose pelvis would be under the floor is turned
+//! about the head.
 
 use glam::{Quat, Vec3};
 use posed_body::{BodyPose, JOINTS, Joint, Joints, Skeleton};
@@ -21,6 +22,8 @@ const NECK_SHARE: f32 = 0.5;
 /// own length.
 const HELP_FROM: f32 = 0.97;
 const HELP_MAX: f32 = 0.35;
+/// Lowest place of the pelvis above the floor, metres: of one who lies.
+const PELVIS_CLEAR: f32 = 0.07;
 /// Scale of Barron's general robust loss with shape -2, metres: residuals well above it pull less
 /// and less.
 const ROBUST_SCALE: f32 = 0.12;
@@ -117,6 +120,30 @@ impl<'a> Draft<'a> {
         self.set(Joint::Neck as usize, neck);
         self.set(Joint::Head as usize, head.rotation);
         self.hang(head.position);
+    }
+
+    /// Turns the body about the head joint, head and all, as much as brings the pelvis to the
+    /// height of [`PELVIS_CLEAR`]; one that is above it stays. The head is to be met again.
+    ///
+    /// Networks that have seen nobody lie hang the body into the floor below a low head. The body
+    /// then lies the way it leans, and the more it has to be turned, the way that the head's lower
+    /// side points.
+    pub(super) fn clear_floor(&mut self) {
+        let head = self.joints.position(Joint::Head);
+        let to_pelvis = self.joints.position(Joint::Pelvis) - head;
+        let length = to_pelvis.length().max(1e-3);
+        let lacking = PELVIS_CLEAR - (head.y + to_pelvis.y);
+        if lacking <= 0.0 {
+            return;
+        }
+        let down = self.joints.rotation(Joint::Head) * Vec3::NEG_Y;
+        let way = to_pelvis / length + down * (lacking / length);
+        let way = direction(way * Vec3::new(1.0, 0.0, 1.0), Vec3::NEG_Z);
+        let sine = ((PELVIS_CLEAR - head.y) / length).clamp(-1.0, 1.0);
+        let lying = way * (1.0 - sine * sine).max(0.0).sqrt() + Vec3::Y * sine;
+        let turn = short_way(to_pelvis, lying);
+        self.pose.rotations[0] = (turn * self.pose.rotations[0]).normalize();
+        self.hang(head);
     }
 
     /// Brings a wrist to `goal`, or as near as the arm reaches.
@@ -226,4 +253,84 @@ fn arm(side: usize) -> [usize; 4] {
 fn short_way(from: Vec3, to: Vec3) -> Quat {
     let from = direction(from, Vec3::X);
     Quat::from_rotation_arc(from, direction(to, from))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A draft of the rest pose bent forward at the pelvis by `lean` radians, its head at `height`
+    /// and pitched by `pitch`.
+    fn met(skeleton: &Skeleton, lean: f32, height: f32, pitch: f32) -> Draft<'_> {
+        let head = Place {
+            position: Vec3::new(0.3, height, -0.2),
+            rotation: Quat::from_rotation_x(pitch),
+        };
+        let mut rotations = [Quat::IDENTITY; JOINTS];
+        rotations[0] = Quat::from_rotation_x(-lean);
+        rotations[Joint::Head as usize] = Quat::from_rotation_x(pitch + lean);
+        let mut draft = Draft::new(rotations, &head, skeleton);
+        draft.clear_floor();
+        draft.meet_head(&head);
+        assert!(draft.joints.position(Joint::Head).distance(head.position) < 1e-4);
+        assert!(
+            draft
+                .joints
+                .rotation(Joint::Head)
+                .angle_between(head.rotation)
+                < 2e-3
+        );
+        draft
+    }
+
+    #[test]
+    fn who_stands_is_left_as_predicted() {
+        let skeleton = Skeleton::of_height(1.75);
+        let draft = met(&skeleton, 0.1, skeleton.head_height() + 0.02, -0.2);
+        assert!(draft.pose.rotations[0].angle_between(Quat::from_rotation_x(-0.1)) < 1e-3);
+        for leg in [
+            Joint::LeftHip,
+            Joint::LeftKnee,
+            Joint::RightHip,
+            Joint::RightKnee,
+        ] {
+            assert!(draft.pose.rotations[leg as usize].angle_between(Quat::IDENTITY) < 1e-3);
+        }
+    }
+
+    #[test]
+    fn a_body_under_the_floor_lies_on_it() {
+        let skeleton = Skeleton::of_height(1.75);
+        // On the back, and face down: the network says that they stand.
+        for (pitch, up) in [(1.5, 1.0), (-1.5, -1.0)] {
+            let draft = met(&skeleton, 0.0, 0.12, pitch);
+            let at = |joint| draft.joints.position(joint);
+            assert!(
+                (at(Joint::Pelvis).y - PELVIS_CLEAR).abs() < 0.08,
+                "{}",
+                at(Joint::Pelvis).y
+            );
+            for joint in Joint::ALL {
+                assert!(at(joint).y > -0.3, "{} is at {}", joint.name(), at(joint).y);
+            }
+            let front = draft.joints.rotation(Joint::Pelvis) * Vec3::NEG_Z;
+            assert!(front.y * up > 0.9, "the front faces {front}");
+        }
+    }
+
+    #[test]
+    fn sinking_turns_the_body_without_a_jump() {
+        let skeleton = Skeleton::of_height(1.75);
+        let mut last: Option<Joints> = None;
+        for n in 0..240u8 {
+            let height = 1.3 - 0.005 * f32::from(n);
+            let joints = met(&skeleton, 0.3, height, -0.5).joints;
+            for joint in Joint::ALL {
+                let before = last.as_ref().map(|last| last.position(joint));
+                let step = before.map_or(0.0, |before| before.distance(joints.position(joint)));
+                assert!(step < 0.06, "{} jumps {step} m at {height} m", joint.name());
+            }
+            last = Some(joints);
+        }
+    }
 }

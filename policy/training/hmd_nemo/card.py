@@ -35,7 +35,7 @@ def model_card(name, facts):
     training = facts["training"]
     flags = " ".join(
         f"--{k.replace('_', '-')} {v}" for k, v in training["arguments"].items()
-        if k in ("model", "family", "batch", "frames", "rate", "decay", "steps", "seed", "sets")
+        if k in ("model", "family", "batch", "frames", "rate", "decay", "until_decay", "steps", "seed", "sets")
     )
     return f"""# {name}
 

@@ -11,6 +11,7 @@ import torch
 
 from .expert import Expert
 from .motion import Motion
+from .observation import FUTURE
 from .student import Mlp
 from .worlds import Options, Worlds
 
@@ -36,7 +37,8 @@ def play(motion, act, clips, lookahead, hands):
             worlds.place(world)
         worlds.refresh()
         going &= ~over
-        worlds.frame = np.minimum(worlds.frame, motion.start[worlds.clip + 1] - 10)
+        # Those that are through wait at the end of their clips.
+        worlds.frame = np.minimum(worlds.frame, motion.start[worlds.clip + 1] - FUTURE - 3)
     return falls, steps, 100 * error / np.maximum(steps, 1)
 
 

@@ -25,15 +25,46 @@ WRENCH_WEIGHT = np.array([1.0, 1.0, 1.0, 10.0, 10.0, 10.0])
 """Of force (N) and moment (N m) on the pelvis."""
 
 
+EARLY = 4
+LOADED = 30.0
+KNEE, STRAIGHT, TURN = 3, 0.25, 1.0
+REACH, AHEAD = 0.985, 0.05
+CLEARANCE, RISE, FALL, LANDING = 0.03, 0.01, 0.008, 0.02
+
+
+def clearance(motion):
+    """(frames, 2) metres that a swinging foot is to be higher than in the reference."""
+    out = np.zeros(motion.stands.shape)
+    for clip in range(len(motion)):
+        a, b = motion.start[clip], motion.start[clip + 1]
+        character = motion.characters[motion.character[clip]]
+        corners = motion.links[a:b][:, FEET, None] + rotate(
+            motion.foot_rotation[a:b][:, :, None], character.sole_points[None])
+        low = corners[..., 1].min(2)
+        for leg in range(2):
+            # Frames to the end of the swing, the last low ones counted as landed.
+            landed = np.where(motion.stands[a:b, leg], 0, 100)
+            for frame in range(b - a - 2, -1, -1):
+                if landed[frame]:
+                    ahead = landed[frame + 1]
+                    landed[frame] = 0 if ahead == 0 and low[frame, leg] < LANDING else ahead + 1
+            gone = np.where(motion.stands[a:b, leg], 0, 100)
+            for frame in range(1, b - a):
+                gone[frame] = min(gone[frame], gone[frame - 1] + 1)
+            wanted = np.minimum(CLEARANCE, np.minimum(RISE * gone, FALL * landed))
+            out[a:b, leg] = np.where(landed > 0, np.maximum(0, wanted - low[:, leg]), 0)
+    return out
+
+
 class Gains:
     """Springs (1/s²) and dampers (1/s)."""
 
     joint = (120.0, 20.0)
-    root = (50.0, 14.0)
+    root = (30.0, 18.0)
     turn = (100.0, 18.0)
     swing = (150.0, 22.0)
     hold = 12.0
-    place = 0.25
+    place = 0.4
     """A swinging foot is moved by this time times the pelvis's velocity error, seconds."""
 
 
@@ -46,6 +77,7 @@ class Expert:
         after = np.minimum(np.arange(len(motion.qpos)) + 1, len(motion.qpos) - 1)
         self.qacc = (motion.qvel[after] - motion.qvel) * RATE
         self.qacc[motion.start[1:] - 1] = 0
+        self.clear = clearance(motion)
 
     def dynamics(self):
         """Mass matrices (n, 39, 39) and bias less passive forces (n, 39)."""
@@ -62,6 +94,8 @@ class Expert:
             mujoco.mj_rne(model, data, 0, bias)
             mujoco.mj_fullM(model, data, full)
             mass[world], force[world] = full, bias - data.qfrc_passive
+            # What the joints' damping takes away by the middle of the step.
+            mass[world, np.arange(6, 39), np.arange(6, 39)] += model.dof_damping[6:39] / (2 * RATE)
         return mass, force
 
     def act(self):
@@ -75,8 +109,9 @@ class Expert:
         ref_rotation = quat_to_matrix(ref_q[:, [4, 5, 6, 3]])
         # Desired accelerations of pelvis and hinges.
         want = np.zeros((n, 39))
-        want[:, :3] = ref_a[:, :3] + gains.root[0] * (ref_q[:, :3] - qpos[:, :3]) \
-            + gains.root[1] * (ref_v[:, :3] - qvel[:, :3])
+        place, speed = self.within_reach(ref_q[:, :3], ref_v[:, :3])
+        want[:, :3] = ref_a[:, :3] + gains.root[0] * (place - qpos[:, :3]) \
+            + gains.root[1] * (speed - qvel[:, :3])
         back = np.swapaxes(rotation, -1, -2)
         turn = rotation_log(back @ ref_rotation)
         spin = rotate(back, rotate(ref_rotation, ref_v[:, 3:6])) - qvel[:, 3:6]
@@ -100,6 +135,7 @@ class Expert:
         for leg, hinges in enumerate(LEGS):
             columns = slice(hinges.start + 6, hinges.stop + 6)
             want[:, columns] = legs_c[leg] + rotate(legs_a[leg], got)
+        self.want = want.copy()
         torque = rotate(mass[:, 6:], want) + force[:, 6:]
         for leg, hinges in enumerate(LEGS):
             for hinge in range(hinges.start, hinges.stop):
@@ -107,6 +143,24 @@ class Expert:
                 moment = np.cross(arm, push[:, leg]).sum(1)
                 torque[:, hinge] -= (frames.axes[:, hinge] * moment).sum(-1)
         return np.clip(torque / worlds.torque, -1, 1)
+
+    def within_reach(self, place, speed):
+        """The pelvis's goal, lowered to where the legs that stand stay a little bent."""
+        worlds, frames = self.worlds, self.worlds.frames
+        place, speed = place.copy(), speed.copy()
+        root = frames.position[:, 0]
+        for leg, foot in enumerate(FEET):
+            hip, ankle = frames.position[:, foot - 2], frames.position[:, foot]
+            length = REACH * (np.linalg.norm(worlds.offsets[:, foot - 1], axis=-1)
+                              + np.linalg.norm(worlds.offsets[:, foot], axis=-1))
+            apart = (hip - ankle) + AHEAD * (frames.linear[:, foot - 2] - frames.linear[:, foot])
+            aside = np.square(apart[:, [0, 2]]).sum(1)
+            highest = ankle[:, 1] + np.sqrt(np.maximum(np.square(length) - aside, 0.04)) \
+                - (hip[:, 1] - root[:, 1])
+            bound = (worlds.feet[:, leg, 1] > LOADED) & (place[:, 1] > highest)
+            place[:, 1] = np.where(bound, highest, place[:, 1])
+            speed[:, 1] = np.where(bound, np.minimum(speed[:, 1], 0), speed[:, 1])
+        return place, speed
 
     def hinge_place(self, hinge):
         link = next(i for i, h in enumerate(self.worlds.motion.characters[0].hinges) if hinge in h)
@@ -116,11 +170,16 @@ class Expert:
         """Each leg's hinge accelerations as an affine function of the pelvis's."""
         worlds, gains, motion = self.worlds, self.gains, self.worlds.motion
         frames, frame, n = worlds.frames, worlds.frame, worlds.count
-        later = np.minimum(frame + 1, motion.start[worlds.clip + 1] - 1)
+        ends = motion.start[worlds.clip + 1] - 1
+        later = np.minimum(frame + 1, ends)
         points = np.stack([c.sole_points for c in motion.characters])[motion.character[worlds.clip]]
         corners = frames.position[:, FEET, None] + rotate(
             frames.rotation[:, FEET, None], points)
-        stands = motion.stands[frame] & motion.stands[later] & (corners[..., 1].min(2) < TOUCH)
+        low = corners[..., 1].min(2) < TOUCH
+        planned = motion.stands[frame] & motion.stands[later]
+        # A foot that lands early stays where it is, one that is to leave may.
+        soon = motion.stands[np.minimum(frame[:, None] + np.arange(1, 1 + EARLY), ends[:, None])].any(1)
+        stands = low & (planned | (soon & (worlds.feet[:, :, 1] > LOADED)))
         rotation, root = frames.rotation[:, 0], frames.position[:, 0]
         drift = frames.linear[:, 0] - motion.speeds[frame, 0]
         out_c, out_a = [], []
@@ -137,13 +196,17 @@ class Expert:
             goal_speed = motion.speeds[later, foot]
             shift = (frames.position[:, 0] - motion.links[frame, 0]) + gains.place * drift
             goal[:, [0, 2]] += shift[:, [0, 2]]
+            goal[:, 1] += np.maximum(0, self.clear[later, leg])
+            goal_speed = goal_speed.copy()
+            goal_speed[:, 1] += (self.clear[later, leg] - self.clear[frame, leg]) * RATE
             swing = gains.swing[0] * (goal - place) + gains.swing[1] * (goal_speed - speed) \
                 + (goal_speed - motion.speeds[frame, foot]) * RATE
             linear = np.where(stands[:, leg, None], -gains.hold * speed, swing)
             ref_turn, ref_spin = self.foot_reference(foot, frame)
             angular = gains.turn[0] * rotation_log(
                 ref_turn @ np.swapaxes(frames.rotation[:, foot], -1, -2)) \
-                + gains.turn[1] * (ref_spin - frames.angular[:, foot])
+                + gains.turn[1] * (ref_spin - frames.angular[:, foot]) \
+                + (self.foot_reference(foot, later)[1] - ref_spin) * RATE
             columns = range(hinges.start, hinges.stop)
             jacobian = np.zeros((n, 6, 6))
             for column, hinge in enumerate(columns):
@@ -156,9 +219,13 @@ class Expert:
             base[:, 3:, 3:] = rotation
             task = np.concatenate([linear, angular], 1) - self.swirl(leg, place)
             # Damped least squares about the hinges' own wishes; metres count ten times radians.
-            scale = np.array([10.0, 10, 10, 1, 1, 1])[:, None]
+            scale = np.array([10.0, 10, 10, TURN, TURN, TURN])[:, None]
             j = jacobian * scale
-            solve = np.linalg.solve(np.swapaxes(j, -1, -2) @ j + 0.02 * np.eye(6),
+            # A knee that is nearly straight follows its own wish: it could be told to bend backwards.
+            bend = worlds.qpos[:, 7 + hinges.start + KNEE]
+            damping = np.full((n, 6), 0.02)
+            damping[:, KNEE] += 10 * np.exp(-np.square(np.maximum(bend, 0) / STRAIGHT))
+            solve = np.linalg.solve(np.swapaxes(j, -1, -2) @ j + damping[:, None] * np.eye(6),
                                     np.swapaxes(j, -1, -2) * scale[:, 0])
             wish = want[:, 6 + hinges.start:6 + hinges.stop]
             rest = task - rotate(jacobian, wish)

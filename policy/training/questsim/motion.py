@@ -7,6 +7,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
+from .balance import balance
 from .character import (LEFT_FOOT, LINKS, RIGHT_FOOT, Character, forward, quat_to_matrix,
                         rotate, rotation_log)
 from .observation import RATE
@@ -14,7 +15,9 @@ from .observation import RATE
 SOLE_DEPTH_QUANTILE = 10
 """Clips are set on the floor by this percentile of their lowest sole corner."""
 STANDS_HEIGHT, STANDS_SPEED = 0.035, 0.5
-"""A foot of the reference stands while its lowest corner is below and slower than these."""
+"""A foot of the reference stands while one of its corners is below and slower than these."""
+CARRIED = 0.4
+"""With this share of gravity or more under it a body is carried: one foot stands."""
 GROUND_REACH = 0.06
 """Sole corners below this can carry weight in the feasibility test, metres."""
 ZMP_SLACK = 0.12
@@ -175,6 +178,21 @@ def load(path, wanted=lambda name: True, feasible=True, longest=None):
         strain=np.array([made["strain"] for *_, made in keep]), **join)
 
 
+def standing(frames, corners, qvel):
+    """(frames, 2) bool: which feet stand, flat, on the heel or on the toes."""
+    feet = [LEFT_FOOT, RIGHT_FOOT]
+    arms = corners - frames.position[:, feet, None]
+    moving = frames.linear[:, feet, None] + np.cross(frames.angular[:, feet, None], arms)
+    speed = np.linalg.norm(moving, axis=-1)
+    stands = ((corners[..., 1] < STANDS_HEIGHT) & (speed < STANDS_SPEED)).any(2)
+    after = np.minimum(np.arange(len(qvel)) + 2, len(qvel) - 1)
+    before = np.maximum(np.arange(len(qvel)) - 2, 0)
+    lift = (qvel[after, 1] - qvel[before, 1]) * RATE / np.maximum(after - before, 1)
+    carried = (lift > (CARRIED - 1) * 9.81) & ~stands.any(1)
+    stands[np.flatnonzero(carried), corners[carried][..., 1].min(2).argmin(1)] = True
+    return stands
+
+
 def one(character, root, rotation, angles, parts):
     """The arrays of one clip."""
     root = root.copy()
@@ -192,8 +210,13 @@ def one(character, root, rotation, angles, parts):
     corners[..., 1] += lift
     parts = parts.copy()
     parts[..., 1] += lift
-    speed = np.linalg.norm(frames.linear[:, [LEFT_FOOT, RIGHT_FOOT]], axis=-1)
-    stands = (corners[..., 1].min(2) < STANDS_HEIGHT) & (speed < STANDS_SPEED)
+    stands = standing(frames, corners, qvel)
+    if len(qpos) > 4:
+        balance(character, qpos, stands,
+                lambda q: velocities(q[:, :3], q[:, [4, 5, 6, 3]], q[:, 7:]), corners, RATE)
+        qvel = velocities(qpos[:, :3], qpos[:, [4, 5, 6, 3]], qpos[:, 7:])
+        frames = forward(character, offsets, qpos, qvel)
+        corners = sole_corners(character, frames)
     return {
         "qpos": qpos, "qvel": qvel, "links": frames.position.astype(np.float32),
         "speeds": frames.linear.astype(np.float32), "stands": stands,

@@ -24,6 +24,32 @@ NOISE = 0.05
 """Spread of what is added to the driver's action in half of the worlds."""
 
 
+class Memory:
+    """The last `keep` rounds, in float16."""
+
+    def __init__(self, keep):
+        self.keep, self.inputs, self.labels = keep, [], []
+
+    def add(self, inputs, labels):
+        """A round's observations (n, 475) and answers (n, 33), float16."""
+        self.inputs.append(torch.from_numpy(inputs))
+        self.labels.append(torch.from_numpy(labels))
+        del self.inputs[:-self.keep], self.labels[:-self.keep]
+
+    def pick(self, count, generator):
+        """`count` samples from all rounds, each as likely as any other, float32."""
+        ends = torch.tensor([len(i) for i in self.inputs]).cumsum(0)
+        chosen = torch.randint(int(ends[-1]), (count,), generator=generator).sort().values
+        rounds = torch.searchsorted(ends, chosen, right=True)
+        inputs, labels = [], []
+        for number in rounds.unique().tolist():
+            begin = int(ends[number]) - len(self.inputs[number])
+            rows = chosen[rounds == number] - begin
+            inputs.append(self.inputs[number][rows])
+            labels.append(self.labels[number][rows])
+        return torch.cat(inputs).float(), torch.cat(labels).float()
+
+
 class Run:
     """Everything that a checkpoint holds, and how it is carried on."""
 
@@ -35,7 +61,7 @@ class Run:
             self.student.load_state_dict(torch.load(args.start, weights_only=True)["student"])
         self.optimizer = torch.optim.Adam(self.student.parameters(), args.lr)
         self.round, self.samples, self.seconds = 0, 0, 0.0
-        self.inputs, self.labels = [], []
+        self.memory = Memory(args.keep)
 
     def checkpoint(self):
         return self.out / "state.pt"
@@ -58,15 +84,10 @@ class Run:
         self.seconds = state["seconds"]
         for number in range(max(0, self.round - self.args.keep), self.round):
             with np.load(self.shard(number)) as data:
-                self.remember(data["inputs"], data["labels"])
+                self.memory.add(data["inputs"], data["labels"])
 
     def shard(self, number):
         return self.out / f"round-{number:05}.npz"
-
-    def remember(self, inputs, labels):
-        self.inputs.append(torch.from_numpy(inputs))
-        self.labels.append(torch.from_numpy(labels))
-        del self.inputs[:-self.args.keep], self.labels[:-self.args.keep]
 
     def play(self):
         """Episodes of one round: observations (n, 475) and the expert's answers (n, 33)."""
@@ -109,15 +130,16 @@ class Run:
     def learn(self):
         """Mean error of the round's steps."""
         args = self.args
-        inputs = torch.cat(self.inputs).float()
-        labels = torch.cat(self.labels).float()
         if self.round < args.settle and not args.start:
-            self.student.normalise_by(inputs)
+            self.student.normalise_by(torch.cat(self.memory.inputs).float())
         generator = torch.Generator().manual_seed(args.seed * 100_003 + self.round)
+        left = (args.rounds - self.round) / args.decay if args.rounds and args.decay else 1.0
+        for group in self.optimizer.param_groups:
+            group["lr"] = args.lr * max(0.02, min(1.0, left))
         total = 0.0
         for _ in range(args.batches):
-            pick = torch.randint(len(inputs), (args.batch,), generator=generator)
-            error = (self.student(inputs[pick]) - labels[pick]).square().mean()
+            inputs, labels = self.memory.pick(args.batch, generator)
+            error = (self.student(inputs) - labels).square().mean()
             self.optimizer.zero_grad(set_to_none=True)
             error.backward()
             torch.nn.utils.clip_grad_norm_(self.student.parameters(), 1.0)
@@ -132,7 +154,7 @@ class Run:
             inputs, labels, figures = self.play()
             inputs, labels = inputs.astype(np.float16), labels.astype(np.float16)
             np.savez(self.shard(self.round), inputs=inputs, labels=labels)
-            self.remember(inputs, labels)
+            self.memory.add(inputs, labels)
             played = time.perf_counter()
             error = self.learn()
             self.round += 1
@@ -160,6 +182,8 @@ def parser():
     parser.add_argument("--settle", type=int, default=5, help="rounds that set the normalisation")
     parser.add_argument("--share", type=float, default=0.8)
     parser.add_argument("--lr", type=float, default=1e-3)
+    parser.add_argument("--decay", type=int, default=0,
+                        help="rounds before --rounds in which the rate falls")
     parser.add_argument("--seed", type=int, default=0)
     return parser
 

@@ -15,7 +15,7 @@ from .observation import RATE
 
 FEET = (LEFT_FOOT, RIGHT_FOOT)
 FRICTION = 0.8
-TOUCH = 0.015
+TOUCH, LIFTS = 0.015, 0.02
 """Sole corners below this may push, metres."""
 RIDGE = 1e-3
 """Keeps forces spread where many would do."""
@@ -29,18 +29,26 @@ EARLY = 4
 LOADED = 30.0
 KNEE, STRAIGHT, TURN = 3, 0.25, 1.0
 REACH, AHEAD = 0.985, 0.05
-CLEARANCE, RISE, FALL, LANDING = 0.03, 0.01, 0.008, 0.02
+CLEARANCE, RISE, FALL, LANDING = 0.03, 0.01, 0.008, 0.0
 
 
-def clearance(motion):
+def sole_heights(motion):
+    """(frames, 2, 4) of the reference's sole corners, metres."""
+    points = np.stack([c.sole_points for c in motion.characters])[motion.character]
+    out = np.empty((len(motion.qpos), 2, 4))
+    for clip in range(len(motion)):
+        frames = slice(motion.start[clip], motion.start[clip + 1])
+        corners = rotate(motion.foot_rotation[frames][:, :, None], points[clip][None])
+        out[frames] = motion.links[frames][:, FEET][..., 1:2] + corners[..., 1]
+    return out
+
+
+def clearance(motion, lowest):
     """(frames, 2) metres that a swinging foot is to be higher than in the reference."""
     out = np.zeros(motion.stands.shape)
     for clip in range(len(motion)):
         a, b = motion.start[clip], motion.start[clip + 1]
-        character = motion.characters[motion.character[clip]]
-        corners = motion.links[a:b][:, FEET, None] + rotate(
-            motion.foot_rotation[a:b][:, :, None], character.sole_points[None])
-        low = corners[..., 1].min(2)
+        low = lowest[a:b]
         for leg in range(2):
             # Frames to the end of the swing, the last low ones counted as landed.
             landed = np.where(motion.stands[a:b, leg], 0, 100)
@@ -61,10 +69,10 @@ class Gains:
 
     joint = (120.0, 20.0)
     root = (30.0, 18.0)
-    turn = (100.0, 18.0)
+    turn = (150.0, 24.0)
     swing = (150.0, 22.0)
     hold = 12.0
-    place = 0.4
+    place = 0.42
     """A swinging foot is moved by this time times the pelvis's velocity error, seconds."""
 
 
@@ -77,7 +85,8 @@ class Expert:
         after = np.minimum(np.arange(len(motion.qpos)) + 1, len(motion.qpos) - 1)
         self.qacc = (motion.qvel[after] - motion.qvel) * RATE
         self.qacc[motion.start[1:] - 1] = 0
-        self.clear = clearance(motion)
+        self.heights = sole_heights(motion)
+        self.clear = clearance(motion, self.heights.min(2))
 
     def dynamics(self):
         """Mass matrices (n, 39, 39) and bias less passive forces (n, 39)."""
@@ -186,8 +195,8 @@ class Expert:
         for leg, hinges in enumerate(LEGS):
             foot = FEET[leg]
             # A standing foot turns about where it presses, a swinging one about its ankle.
-            weight = np.exp(-corners[:, leg, :, 1] / 0.008)
-            weight /= weight.sum(1, keepdims=True)
+            weight = np.exp(-(corners[:, leg, :, 1] + self.heights[later, leg]) / 0.008)
+            weight /= np.maximum(weight.sum(1, keepdims=True), 1e-12)
             pressed = (corners[:, leg] * weight[..., None]).sum(1)
             place = np.where(stands[:, leg, None], pressed, frames.position[:, foot])
             arm = place - frames.position[:, foot]
@@ -263,7 +272,13 @@ class Expert:
         """(n, 2, 4, 3) forces in the friction cone whose wrench comes closest to `needed`."""
         n = len(needed)
         rays = np.array([[FRICTION, 1, 0], [-FRICTION, 1, 0], [0, 1, FRICTION], [0, 1, -FRICTION]])
-        allowed = (stands[:, :, None] & (corners[..., 1] < TOUCH)).reshape(n, 8)
+        worlds = self.worlds
+        later = np.minimum(worlds.frame + 1, worlds.motion.start[worlds.clip + 1] - 1)
+        planned = self.heights[later]
+        # A corner that the reference is about to lift pushes no more.
+        allowed = stands[:, :, None] & (corners[..., 1] < TOUCH) \
+            & (planned - planned.min(2, keepdims=True) < LIFTS)
+        allowed = allowed.reshape(n, 8)
         arms = corners.reshape(n, 8, 3) - self.worlds.frames.position[:, :1]
         back = np.swapaxes(self.worlds.frames.rotation[:, 0], -1, -2)
         moment = np.cross(arms[:, :, None], rays)

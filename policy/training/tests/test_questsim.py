@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from questsim import dagger, motion, observation, ppo
+from questsim import balance, dagger, motion, observation, ppo
 from questsim.character import Character, forward, rotation_exp, rotation_log
 from questsim.expert import Expert, cone_least_squares
 from questsim.student import Mlp
@@ -83,6 +83,49 @@ def test_contact_forces_stay_in_the_cone_and_carry_the_weight():
     share = cone_least_squares(columns, target)
     assert (share >= 0).all()
     assert np.abs(np.einsum("nkm,nk->nm", columns, share) - target).max() < 0.1
+
+
+def test_points_are_moved_into_the_hull_of_the_corners_that_count():
+    square = np.array([[0.0, 0], [0.2, 0], [0.2, 0.2], [0, 0.2], [5, 5]])
+    points = np.array([[0.1, 0.1], [0.3, 0.1], [0.1, -0.1], [0.4, 0.5]])
+    valid = np.tile([True, True, True, True, False], (4, 1))
+    move = balance.into_hull(points, np.tile(square, (4, 1, 1)), valid)
+    assert (move[0] == 0).all()
+    landed = (points + move)[:3]
+    assert (landed > 0).all() and (landed < 0.2).all()
+    assert abs(move[1, 1]) < 1e-9 and -0.13 < move[1, 0] < -0.1
+    assert np.linalg.norm(move[3]) == pytest.approx(balance.FARTHEST)
+
+
+def test_a_sway_beyond_the_soles_is_taken_back_until_the_ground_can_carry_it(standing):
+    """The feet stay, and so does what could be carried already."""
+    character, count = standing.characters[0], 108
+    qpos = np.tile(standing.qpos[0], (count, 1))
+    feet = forward(character, np.tile(character.offsets, (count, 1, 1)), qpos, np.zeros((count, 39)))
+    corners = motion.sole_corners(character, feet)
+    stands = np.ones((count, 2), bool)
+    sway = 0.06 * np.sin(2 * np.pi * 1.2 * np.arange(count) / motion.RATE)
+    qpos[:, 0] += sway
+    balance.keep_feet(character, qpos, feet.position[:, balance.FEET], feet.rotation[:, balance.FEET])
+
+    def rates(q):
+        return motion.velocities(q[:, :3], q[:, [4, 5, 6, 3]], q[:, 7:])
+
+    def outside(q):
+        speed = rates(q)
+        point, _ = balance.zero_moment_point(
+            character, q, speed, balance.accelerations(speed, motion.RATE))
+        flat = corners.reshape(count, 8, 3)[..., [0, 2]]
+        move = balance.into_hull(point, flat, np.ones((count, 8), bool))
+        return np.linalg.norm(move, axis=1)[4:-4]
+
+    before = outside(qpos)
+    balance.balance(character, qpos, stands, rates, corners, motion.RATE)
+    after = outside(qpos)
+    assert before.max() > 0.05
+    assert after.max() < 0.02, (before.max(), after.max())
+    moved = forward(character, np.tile(character.offsets, (count, 1, 1)), qpos, np.zeros((count, 39)))
+    assert np.abs(moved.position - feet.position)[:, balance.FEET].max() < 0.01
 
 
 def test_the_expert_stands_without_help(standing):

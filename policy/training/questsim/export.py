@@ -73,7 +73,8 @@ physics steps. `policy/training/questsim/observation.py` has the order of the in
 - File: `questsim.onnx`, sha256 `{sha256}`; {parameters} parameters.
 - Licence of the weights: CC BY-NC 4.0 (bandai in the training data): non-commercial use.
 - Training: {history}. What was tried and what came of it: `policy/training/questsim/README.md`.
-- Data: gestures of the `train` split of bandai (Bandai-Namco-Research-Motiondataset, CC BY-NC 4.0).
+- Data: a fifth of the clips of the `train` split of bandai (Bandai-Namco-Research-Motiondataset, CC BY-NC
+  4.0; walking, running, gestures) and snu (snumrl/DataDrivenBipedController, MIT), 33 minutes.
 - Last line of the curve: `{last}`
 """
 

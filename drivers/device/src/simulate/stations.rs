@@ -87,7 +87,8 @@ pub fn four_stations() -> Vec<BaseStation> {
     stations
 }
 
-/// Two base stations of generation 1, one that flashes first and one second, in the places of [`default_stations`].
+/// Two base stations of generation 1, one that flashes first and one second, in the places of
+/// [`default_stations`].
 #[must_use]
 pub fn generation_one_stations() -> Vec<BaseStation> {
     let plane = |values: [f64; 5]| {

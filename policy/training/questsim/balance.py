@@ -11,9 +11,8 @@ import mujoco
 import numpy as np
 from scipy.linalg import solveh_banded
 
-from .character import LEGS, LEFT_FOOT, RIGHT_FOOT, forward, rotate, rotation_log
+from .character import FEET, LEGS, forward, rotate, rotation_log
 
-FEET = (LEFT_FOOT, RIGHT_FOOT)
 GRAVITY = 9.81
 ROUNDS = 3
 STIFFNESS = 0.2
@@ -31,7 +30,10 @@ REACH_ROUNDS, REACH_DAMPING, REACH_STEP = 8, 3e-3, 0.1
 
 
 def zero_moment_point(character, qpos, qvel, qacc):
-    """(frames, 2) x and z on the floor, metres, and (frames,) vertical force over weight."""
+    """(frames, 2) x and z on the floor, metres, and (frames,) vertical force over weight.
+
+    There the ground would have to push: r x f = moment about the pelvis, at height zero.
+    """
     model, data = character.model, mujoco.MjData(character.model)
     flags = model.opt.disableflags
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
@@ -113,7 +115,7 @@ def keep_feet(character, qpos, position, rotation):
             error = np.concatenate([position[:, leg] - place, 0.3 * turn], 1)
             jacobian = np.zeros((len(qpos), 6, 6))
             for column, hinge in enumerate(range(hinges.start, hinges.stop)):
-                link = next(i for i, h in enumerate(character.hinges) if hinge in h)
+                link = character.link_of(hinge)
                 axis = frames.axes[:, hinge]
                 jacobian[:, :3, column] = np.cross(axis, place - frames.position[:, link])
                 jacobian[:, 3:, column] = 0.3 * axis

@@ -15,6 +15,7 @@ HINGES = 33
 PELVIS, HEAD, LEFT_HAND, RIGHT_HAND, LEFT_FOOT, RIGHT_FOOT = 0, 3, 6, 9, 12, 15
 LEGS = (slice(21, 27), slice(27, 33))
 """The hinges of the left and the right leg."""
+FEET = (LEFT_FOOT, RIGHT_FOOT)
 
 
 @dataclass
@@ -47,6 +48,10 @@ class Character:
     def axes(self):
         """(33, 3): each hinge's axis in its link's frame."""
         return self.model.jnt_axis[1:HINGES + 1].copy()
+
+    def link_of(self, hinge):
+        """The link that a hinge turns."""
+        return next(link for link, own in enumerate(self.hinges) if hinge in own)
 
     @cached_property
     def hinges(self):

@@ -10,26 +10,28 @@ There is no force on the pelvis: what the soles cannot push, the body does not d
 import mujoco
 import numpy as np
 
-from .character import LEGS, LEFT_FOOT, RIGHT_FOOT, quat_to_matrix, rotate, rotation_log, skew
+from .character import FEET, LEGS, quat_to_matrix, rotate, rotation_log, skew
 from .observation import RATE
 
-FEET = (LEFT_FOOT, RIGHT_FOOT)
 FRICTION = 0.8
 TOUCH, LIFTS = 0.015, 0.02
-"""Sole corners below this may push, metres."""
+"""Sole corners may push below the first, unless the reference lifts them the second above the
+foot's lowest, metres."""
+EARLY, LOADED = 4, 30.0
+"""A swinging foot with this force on it (N) has landed if the reference lands within so many steps."""
+KNEE, STRAIGHT = 3, 0.25
+"""A leg's hinge that bends the knee, and the angle (rad) below which it counts as nearly straight."""
+REACH, AHEAD = 0.985, 0.05
+"""Share of a leg's length that it is stretched to at most, so many seconds ahead."""
+CLEARANCE, RISE, FALL, LANDING = 0.03, 0.01, 0.008, 0.0
+"""Height of swinging feet, what they rise and fall by in a step, and below what one has landed
+that is about to stand, metres."""
 RIDGE = 1e-3
 """Keeps forces spread where many would do."""
 ITERATIONS, PENALTY = 50, 0.1
 """Of the alternating directions that find the contact forces."""
 WRENCH_WEIGHT = np.array([1.0, 1.0, 1.0, 10.0, 10.0, 10.0])
 """Of force (N) and moment (N m) on the pelvis."""
-
-
-EARLY = 4
-LOADED = 30.0
-KNEE, STRAIGHT, TURN = 3, 0.25, 1.0
-REACH, AHEAD = 0.985, 0.05
-CLEARANCE, RISE, FALL, LANDING = 0.03, 0.01, 0.008, 0.0
 
 
 def sole_heights(motion):
@@ -144,7 +146,6 @@ class Expert:
         for leg, hinges in enumerate(LEGS):
             columns = slice(hinges.start + 6, hinges.stop + 6)
             want[:, columns] = legs_c[leg] + rotate(legs_a[leg], got)
-        self.want = want.copy()
         torque = rotate(mass[:, 6:], want) + force[:, 6:]
         for leg, hinges in enumerate(LEGS):
             for hinge in range(hinges.start, hinges.stop):
@@ -172,22 +173,21 @@ class Expert:
         return place, speed
 
     def hinge_place(self, hinge):
-        link = next(i for i, h in enumerate(self.worlds.motion.characters[0].hinges) if hinge in h)
-        return self.worlds.frames.position[:, link]
+        character = self.worlds.motion.characters[0]
+        return self.worlds.frames.position[:, character.link_of(hinge)]
 
     def legs(self, want, ref_q, ref_v):
         """Each leg's hinge accelerations as an affine function of the pelvis's."""
         worlds, gains, motion = self.worlds, self.gains, self.worlds.motion
         frames, frame, n = worlds.frames, worlds.frame, worlds.count
-        ends = motion.start[worlds.clip + 1] - 1
-        later = np.minimum(frame + 1, ends)
+        later = worlds.coming(1)[:, 0]
         points = np.stack([c.sole_points for c in motion.characters])[motion.character[worlds.clip]]
         corners = frames.position[:, FEET, None] + rotate(
             frames.rotation[:, FEET, None], points)
         low = corners[..., 1].min(2) < TOUCH
         planned = motion.stands[frame] & motion.stands[later]
         # A foot that lands early stays where it is, one that is to leave may.
-        soon = motion.stands[np.minimum(frame[:, None] + np.arange(1, 1 + EARLY), ends[:, None])].any(1)
+        soon = motion.stands[worlds.coming(EARLY)].any(1)
         stands = low & (planned | (soon & (worlds.feet[:, :, 1] > LOADED)))
         rotation, root = frames.rotation[:, 0], frames.position[:, 0]
         drift = frames.linear[:, 0] - motion.speeds[frame, 0]
@@ -205,7 +205,7 @@ class Expert:
             goal_speed = motion.speeds[later, foot]
             shift = (frames.position[:, 0] - motion.links[frame, 0]) + gains.place * drift
             goal[:, [0, 2]] += shift[:, [0, 2]]
-            goal[:, 1] += np.maximum(0, self.clear[later, leg])
+            goal[:, 1] += self.clear[later, leg]
             goal_speed = goal_speed.copy()
             goal_speed[:, 1] += (self.clear[later, leg] - self.clear[frame, leg]) * RATE
             swing = gains.swing[0] * (goal - place) + gains.swing[1] * (goal_speed - speed) \
@@ -228,7 +228,7 @@ class Expert:
             base[:, 3:, 3:] = rotation
             task = np.concatenate([linear, angular], 1) - self.swirl(leg, place)
             # Damped least squares about the hinges' own wishes; metres count ten times radians.
-            scale = np.array([10.0, 10, 10, TURN, TURN, TURN])[:, None]
+            scale = np.array([10.0, 10, 10, 1, 1, 1])[:, None]
             j = jacobian * scale
             # A knee that is nearly straight follows its own wish: it could be told to bend backwards.
             bend = worlds.qpos[:, 7 + hinges.start + KNEE]
@@ -272,9 +272,7 @@ class Expert:
         """(n, 2, 4, 3) forces in the friction cone whose wrench comes closest to `needed`."""
         n = len(needed)
         rays = np.array([[FRICTION, 1, 0], [-FRICTION, 1, 0], [0, 1, FRICTION], [0, 1, -FRICTION]])
-        worlds = self.worlds
-        later = np.minimum(worlds.frame + 1, worlds.motion.start[worlds.clip + 1] - 1)
-        planned = self.heights[later]
+        planned = self.heights[self.worlds.coming(1)[:, 0]]
         # A corner that the reference is about to lift pushes no more.
         allowed = stands[:, :, None] & (corners[..., 1] < TOUCH) \
             & (planned - planned.min(2, keepdims=True) < LIFTS)

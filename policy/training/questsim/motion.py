@@ -4,10 +4,9 @@ import os
 from dataclasses import dataclass, fields
 from pathlib import Path
 
-import mujoco
 import numpy as np
 
-from .balance import balance
+from .balance import CARRIES, accelerations, balance, zero_moment_point
 from .character import (LEFT_FOOT, LINKS, RIGHT_FOOT, Character, forward, quat_to_matrix,
                         rotate, rotation_log)
 from .observation import RATE
@@ -90,9 +89,10 @@ def texts(rows):
     return [bytes(row).rstrip(b"\0").decode() for row in rows]
 
 
-def velocities(root, rotation, angles):
-    """(frames, 39) in MuJoCo's order by central differences."""
-    count = len(root)
+def velocities(qpos):
+    """(frames, 39) in MuJoCo's order by central differences of (frames, 40)."""
+    count = len(qpos)
+    root, rotation, angles = qpos[:, :3], qpos[:, [4, 5, 6, 3]], qpos[:, 7:]
     before = np.maximum(np.arange(count) - 1, 0)
     after = np.minimum(np.arange(count) + 1, count - 1)
     span = ((after - before) / RATE)[:, None]
@@ -114,34 +114,13 @@ def sole_corners(character, frames):
 
 def unexplained(character, qpos, qvel, corners):
     """(frames,) bool: no force of the ground on the soles moves the character like this."""
-    model, data = character.model, mujoco.MjData(character.model)
-    model_flags = model.opt.disableflags
-    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
-    after = np.minimum(np.arange(len(qpos)) + 1, len(qpos) - 1)
-    before = np.maximum(np.arange(len(qpos)) - 1, 0)
-    qacc = (qvel[after] - qvel[before]) * RATE / np.maximum(after - before, 1)[:, None]
-    weight = 9.81 * mujoco.mj_getTotalmass(model)
-    out = np.zeros(len(qpos), bool)
-    for frame in range(len(qpos)):
-        data.qpos[:], data.qvel[:], data.qacc[:] = qpos[frame], qvel[frame], qacc[frame]
-        mujoco.mj_inverse(model, data)
-        force = data.qfrc_inverse[:3]
-        down = corners[frame].reshape(-1, 3)
-        down = down[down[:, 1] < GROUND_REACH]
-        if force[1] < 0.2 * weight:
-            continue
-        if len(down) == 0:
-            out[frame] = True
-            continue
-        moment = data.xmat[1].reshape(3, 3) @ data.qfrc_inverse[3:6]
-        root = qpos[frame, :3]
-        # Where the ground would have to push: r x f = moment about the pelvis, at height zero.
-        x = root[0] + (moment[2] - root[1] * force[0]) / force[1]
-        z = root[2] + (-moment[0] - root[1] * force[2]) / force[1]
-        low, high = down.min(0) - ZMP_SLACK, down.max(0) + ZMP_SLACK
-        out[frame] = not (low[0] <= x <= high[0] and low[2] <= z <= high[2])
-    model.opt.disableflags = model_flags
-    return out
+    point, load = zero_moment_point(character, qpos, qvel, accelerations(qvel, RATE))
+    near = corners.reshape(len(qpos), -1, 3)
+    down = (near[..., 1] < GROUND_REACH)[..., None]
+    # Without a corner near the floor nothing lies between these.
+    low = np.where(down, near, np.inf).min(1)[:, [0, 2]] - ZMP_SLACK
+    high = np.where(down, near, -np.inf).max(1)[:, [0, 2]] + ZMP_SLACK
+    return (load >= CARRIES) & ~((low <= point) & (point <= high)).all(1)
 
 
 def load(path, wanted=lambda name: True, feasible=True, longest=None):
@@ -198,8 +177,8 @@ def one(character, root, rotation, angles, parts):
     root = root.copy()
     rotation = rotation / np.linalg.norm(rotation, axis=-1, keepdims=True)
     angles = np.clip(angles, *character.ranges.T)
-    qvel = velocities(root, rotation, angles)
     qpos = np.concatenate([root, rotation[:, [3, 0, 1, 2]], angles], 1)
+    qvel = velocities(qpos)
     offsets = np.broadcast_to(character.offsets, (len(root), LINKS, 3))
     frames = forward(character, offsets, qpos, qvel)
     corners = sole_corners(character, frames)
@@ -212,9 +191,8 @@ def one(character, root, rotation, angles, parts):
     parts[..., 1] += lift
     stands = standing(frames, corners, qvel)
     if len(qpos) > 4:
-        balance(character, qpos, stands,
-                lambda q: velocities(q[:, :3], q[:, [4, 5, 6, 3]], q[:, 7:]), corners, RATE)
-        qvel = velocities(qpos[:, :3], qpos[:, [4, 5, 6, 3]], qpos[:, 7:])
+        balance(character, qpos, stands, velocities, corners, RATE)
+        qvel = velocities(qpos)
         frames = forward(character, offsets, qpos, qvel)
         corners = sole_corners(character, frames)
     return {

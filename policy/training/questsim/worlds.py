@@ -101,6 +101,11 @@ class Worlds:
         """Places every link anew."""
         self.frames = forward(self.motion.characters[0], self.offsets, self.qpos, self.qvel)
 
+    def coming(self, count):
+        """(n, count) the next frames of the clips; the last one again where they end."""
+        last = self.motion.start[self.clip + 1] - 1
+        return np.minimum(self.frame[:, None] + np.arange(1, count + 1), last[:, None])
+
     def observe(self):
         """(n, 475)."""
         around = self.frame[:, None] + np.arange(-1, FUTURE + 1)

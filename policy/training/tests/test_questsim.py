@@ -108,11 +108,8 @@ def test_a_sway_beyond_the_soles_is_taken_back_until_the_ground_can_carry_it(sta
     qpos[:, 0] += sway
     balance.keep_feet(character, qpos, feet.position[:, balance.FEET], feet.rotation[:, balance.FEET])
 
-    def rates(q):
-        return motion.velocities(q[:, :3], q[:, [4, 5, 6, 3]], q[:, 7:])
-
     def outside(q):
-        speed = rates(q)
+        speed = motion.velocities(q)
         point, _ = balance.zero_moment_point(
             character, q, speed, balance.accelerations(speed, motion.RATE))
         flat = corners.reshape(count, 8, 3)[..., [0, 2]]
@@ -120,7 +117,7 @@ def test_a_sway_beyond_the_soles_is_taken_back_until_the_ground_can_carry_it(sta
         return np.linalg.norm(move, axis=1)[4:-4]
 
     before = outside(qpos)
-    balance.balance(character, qpos, stands, rates, corners, motion.RATE)
+    balance.balance(character, qpos, stands, motion.velocities, corners, motion.RATE)
     after = outside(qpos)
     assert before.max() > 0.05
     assert after.max() < 0.02, (before.max(), after.max())

@@ -513,14 +513,7 @@ pub struct Roles(pub Vec<Role>);
 
 fn parse_roles(text: &str) -> Result<Roles, String> {
     if text == "six" {
-        return Ok(Roles(vec![
-            Role::Waist,
-            Role::LeftKnee,
-            Role::RightKnee,
-            Role::LeftWrist,
-            Role::RightWrist,
-            Role::Head,
-        ]));
+        return Ok(Roles(crate::simulated::SIX.to_vec()));
     }
     let role = |name: &str| {
         let known = Role::from_name(name).filter(|role| crate::simulated::carries(*role));

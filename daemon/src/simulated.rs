@@ -43,6 +43,16 @@ pub fn tracker_serial(index: usize) -> String {
     format!("{:012X}", TRACKER_ADDRESS + index as u64)
 }
 
+/// Where six trackers are worn, as `--trackers six` has them and as PIP needs them.
+pub const SIX: [Role; 6] = [
+    Role::Waist,
+    Role::LeftKnee,
+    Role::RightKnee,
+    Role::LeftWrist,
+    Role::RightWrist,
+    Role::Head,
+];
+
 /// Whether a tracker can be strapped to a role's bone.
 #[must_use]
 pub fn carries(role: Role) -> bool {

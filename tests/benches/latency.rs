@@ -27,7 +27,7 @@ use posed_device::{
     transport::{Event, Merge, Recording, Replay, Transport, TransportError},
     usb::Port,
 };
-use posed_signal::{Clock as _, HostTime, Role, Serial, VirtualClock};
+use posed_signal::{Clock as _, HostTime, Serial, VirtualClock};
 use posed_tracker::TrackerKind;
 
 const RATE_HZ: f64 = 90.0;
@@ -48,19 +48,10 @@ fn main() {
     );
 }
 
-const WORN: [Role; 6] = [
-    Role::Waist,
-    Role::LeftKnee,
-    Role::RightKnee,
-    Role::LeftWrist,
-    Role::RightWrist,
-    Role::Head,
-];
-
 /// USB traffic of six trackers, whose wearer first stands still and so calibrates them.
 fn trackers_replay() -> Replay {
     let clip = postures::before(&simulated::built_in(1.75, 1));
-    let trackers = Person::new(&clip).trackers(&WORN, 3);
+    let trackers = Person::new(&clip).trackers(&simulated::SIX, 3);
     let port = Port { bus: 1, address: 7 };
     let receiver = slimevr::Receiver::new(slimevr::Options::default(), port, trackers);
     let mut writer = UsbmonWriter::new(Vec::new(), UsbmonOptions::default()).expect("a Vec");
@@ -86,7 +77,7 @@ fn trackers_options() -> Result<Options, posed_tracker::inference::InferenceErro
         ..Options::default()
     };
     let serial = |index| Serial::new(&simulated::tracker_serial(index));
-    let roles = WORN.iter().enumerate();
+    let roles = simulated::SIX.iter().enumerate();
     options.rig.roles = roles.map(|(index, role)| (serial(index), *role)).collect();
     Ok(options)
 }

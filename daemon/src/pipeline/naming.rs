@@ -32,12 +32,16 @@ impl Unnamed {
             .filter(inertial)
             .filter_map(|device| Some((device.identity.serial, device.orientation?.rotation)))
             .unzip();
+        if trackers.len() < 2 {
+            *self = Self::default();
+            return None;
+        }
         let worn = |role: &Role| {
             let mut devices = rig.devices().iter();
             devices.any(|device| device.connected && device.role == *role)
         };
         let free: Vec<Role> = ORDER.into_iter().filter(|role| !worn(role)).collect();
-        if trackers.len() < 2 || trackers.len() != free.len() {
+        if trackers.len() != free.len() {
             *self = Self::default();
             return None;
         }

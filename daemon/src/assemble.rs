@@ -8,11 +8,14 @@ use posed_signal::{
     latest::latest,
     ring::{Producer, ring},
 };
-use posed_tracker::{Tracker, TrackerKind, Wearer};
+use posed_tracker::{Tracker, TrackerKind};
 
-use crate::pipeline::{
-    source::Source,
-    tracking::{Inputs, Request, Setup, TrackerLoop},
+use crate::{
+    heights::Heights,
+    pipeline::{
+        source::Source,
+        tracking::{Inputs, Request, Setup, TrackerLoop},
+    },
 };
 
 /// Requests that may wait for the tracker's next tick.
@@ -26,8 +29,10 @@ pub struct Options {
     pub trackers: Vec<Box<dyn Tracker>>,
     /// The tracker to begin with.
     pub tracker: TrackerKind,
-    /// The wearer's height, metres.
-    pub height: f32,
+    /// How tall the wearer is, and the body shown.
+    pub heights: Heights,
+    /// Whether the wearer's first seconds upright tell the height.
+    pub measure_height: bool,
     /// How far beyond the tick poses are made for, ns.
     pub horizon_ns: i64,
 }
@@ -50,7 +55,8 @@ impl Default for Options {
             rig: rig::Settings::default(),
             trackers: Vec::new(),
             tracker: TrackerKind::Ik,
-            height: 1.75,
+            heights: Heights::of(1.75),
+            measure_height: false,
             horizon_ns: 0,
         }
     }
@@ -72,7 +78,9 @@ pub fn assemble(transport: Box<dyn Transport>, options: Options) -> Assembly {
     let setup = Setup {
         trackers: options.trackers,
         choice: options.tracker,
-        wearer: Wearer::of_height(options.height),
+        heights: options.heights,
+        measure_height: options.measure_height,
+        wearer: options.heights.body(),
         horizon_ns: options.horizon_ns,
     };
     assemble_with(transport, options.rig, setup)

@@ -6,7 +6,10 @@ use clap::{Args, Parser, Subcommand, ValueEnum};
 use posed_signal::Role;
 use posed_tracker::worn::Stance;
 
-use crate::output::{bvh::Unit, export, names::Names, record};
+use crate::{
+    heights::Avatar,
+    output::{bvh::Unit, export, names::Names, record},
+};
 
 /// Whole-body pose from a VR headset and its controllers, over gRPC.
 #[derive(Debug, Parser)]
@@ -79,6 +82,9 @@ pub struct BodyArgs {
     /// The wearer's height in metres.
     #[arg(long, value_name = "METRES", value_parser = parse_height)]
     pub height: Option<f32>,
+    /// Height of the body shown, in metres, where it is not the wearer's own.
+    #[arg(long, value_name = "METRES", value_parser = parse_height)]
+    pub avatar_height: Option<f32>,
     /// Where the base stations stand, in libsurvive's JSON; without it posed finds out by itself.
     #[arg(long, value_name = "FILE")]
     pub base_stations: Option<PathBuf>,
@@ -282,6 +288,10 @@ pub struct HeightArgs {
     /// Metres; asked for where this is left out.
     #[arg(value_name = "METRES", value_parser = parse_height)]
     pub height: Option<f32>,
+    /// Height of the body shown: metres, or `own` for the wearer's own; as before where this is left
+    /// out.
+    #[arg(long, value_name = "METRES", requires = "height", value_parser = parse_avatar)]
+    pub avatar: Option<Avatar>,
     /// Whom to ask.
     #[command(flatten)]
     pub server: ServerArgs,
@@ -544,6 +554,13 @@ fn parse_height(text: &str) -> Result<f32, String> {
     match text.parse::<f32>() {
         Ok(height) if (1.0..=2.5).contains(&height) => Ok(height),
         _ => Err("give metres, from 1.0 to 2.5".into()),
+    }
+}
+
+fn parse_avatar(text: &str) -> Result<Avatar, String> {
+    match text {
+        "own" => Ok(Avatar::Own),
+        _ => parse_height(text).map(Avatar::Metres),
     }
 }
 

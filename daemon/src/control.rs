@@ -7,16 +7,31 @@ use posed_signal::ring::Producer;
 use posed_tracker::{TrackerKind, Wearer};
 use tokio::sync::watch;
 
-use crate::{config::HEIGHT_M, pipeline::tracking::Request};
+use crate::{config::HEIGHT_M, heights::Heights, pipeline::tracking::Request};
 
 /// Hands requests on, one after the other, and tells those who must know.
 #[derive(Debug)]
 pub struct Control {
     requests: Mutex<Producer<Request>>,
     wearer: watch::Sender<Wearer>,
+    heights: watch::Sender<Heights>,
     resets: watch::Sender<u64>,
     tracker: watch::Sender<TrackerKind>,
     trackers: Vec<TrackerKind>,
+    objects: usize,
+}
+
+/// What can be asked for, and what holds at first.
+#[derive(Debug, Clone)]
+pub struct Known {
+    /// How tall the wearer is, and the body shown.
+    pub heights: Heights,
+    /// The tracker at first.
+    pub tracker: TrackerKind,
+    /// The trackers that can be chosen.
+    pub trackers: Vec<TrackerKind>,
+    /// How many things there are in the scene.
+    pub objects: usize,
 }
 
 /// Why a request is not handed on.
@@ -37,24 +52,28 @@ pub enum Refusal {
         /// Those that there are.
         known: String,
     },
+    /// The scene has no such thing, or it cannot be there.
+    #[error("object {index} {problem}")]
+    Object {
+        /// Which one.
+        index: usize,
+        /// What is wrong.
+        problem: &'static str,
+    },
 }
 
 impl Control {
-    /// Requests go into `requests`; a new height is told to `wearer`. The tracker can be one of
-    /// `trackers`, and is `tracker` at first.
+    /// Requests go into `requests`; another body is told to `wearer`.
     #[must_use]
-    pub fn new(
-        requests: Producer<Request>,
-        wearer: watch::Sender<Wearer>,
-        tracker: TrackerKind,
-        trackers: Vec<TrackerKind>,
-    ) -> Self {
+    pub fn new(requests: Producer<Request>, wearer: watch::Sender<Wearer>, known: Known) -> Self {
         Self {
             requests: Mutex::new(requests),
             wearer,
+            heights: watch::Sender::new(known.heights),
             resets: watch::Sender::new(0),
-            tracker: watch::Sender::new(tracker),
-            trackers,
+            tracker: watch::Sender::new(known.tracker),
+            trackers: known.trackers,
+            objects: known.objects,
         }
     }
 
@@ -64,8 +83,16 @@ impl Control {
     /// The request makes no sense, or too many are waiting.
     pub fn request(&self, request: Request) -> Result<(), Refusal> {
         match request {
-            Request::Height(height) if !HEIGHT_M.contains(&height) => {
-                return Err(Refusal::Height(height));
+            Request::Height { metres, avatar } => {
+                if let Some(wrong) = self.heights().told(metres, avatar).wrong() {
+                    return Err(Refusal::Height(wrong));
+                }
+            }
+            Request::Move(to) => {
+                if let Some(problem) = to.problem(self.objects) {
+                    let index = to.index;
+                    return Err(Refusal::Object { index, problem });
+                }
             }
             Request::Tracker(kind) if !self.trackers.contains(&kind) => {
                 return Err(self.no_tracker(kind.name()));
@@ -76,16 +103,37 @@ impl Control {
             return Err(Refusal::Busy);
         }
         match request {
-            Request::Height(height) => {
-                self.wearer.send_replace(Wearer::of_height(height));
-            }
+            Request::Height { metres, avatar } => self.tell(self.heights().told(metres, avatar)),
             Request::Tracker(kind) => {
                 self.tracker.send_replace(kind);
             }
+            // The tracker goes on.
+            Request::Move(_) => return Ok(()),
             Request::Reset | Request::Calibrate(_) => {}
         }
         self.resets.send_modify(|count| *count += 1);
         Ok(())
+    }
+
+    /// How tall the wearer is, and the body shown.
+    #[must_use]
+    pub fn heights(&self) -> Heights {
+        *self.heights.borrow()
+    }
+
+    /// The tracker loop has measured the wearer, and starts anew.
+    pub fn measured(&self, metres: f32) {
+        let wearer = metres;
+        self.tell(Heights {
+            wearer,
+            ..self.heights()
+        });
+        self.resets.send_modify(|count| *count += 1);
+    }
+
+    fn tell(&self, heights: Heights) {
+        self.heights.send_replace(heights);
+        self.wearer.send_replace(heights.body());
     }
 
     /// What to say to somebody who wants a tracker that is not there.
@@ -131,16 +179,30 @@ impl Control {
 pub(crate) mod tests {
     use posed_signal::ring::{Consumer, ring};
 
-    use super::*;
+    use glam::{Quat, Vec3};
+    use posed_tracker::ObjectMove;
 
-    /// A control of `ik` and `pip` with room for two requests, and its other end.
+    use super::*;
+    use crate::heights::Avatar;
+
+    fn height(metres: f32) -> Request {
+        Request::Height {
+            metres,
+            avatar: Avatar::Keep,
+        }
+    }
+
+    /// A control of `ik` and `pip` with one thing in the scene and room for two requests, and its
+    /// other end.
     pub(crate) fn control(wearer: watch::Sender<Wearer>) -> (Control, Consumer<Request>) {
         let (producer, consumer) = ring(2);
-        let trackers = vec![TrackerKind::Ik, TrackerKind::Pip];
-        (
-            Control::new(producer, wearer, TrackerKind::Ik, trackers),
-            consumer,
-        )
+        let known = Known {
+            heights: Heights::of(wearer.borrow().height),
+            tracker: TrackerKind::Ik,
+            trackers: vec![TrackerKind::Ik, TrackerKind::Pip],
+            objects: 1,
+        };
+        (Control::new(producer, wearer, known), consumer)
     }
 
     #[test]
@@ -148,31 +210,82 @@ pub(crate) mod tests {
         let (wearer, seen) = watch::channel(Wearer::of_height(1.75));
         let (control, mut consumer) = control(wearer);
         let resets = control.resets();
-        assert_eq!(control.request(Request::Height(1.6)), Ok(()));
+        assert_eq!(control.request(height(1.6)), Ok(()));
         assert_eq!(control.request(Request::Tracker(TrackerKind::Pip)), Ok(()));
         assert_eq!(
-            control.request(Request::Height(1.9)),
+            control.request(height(1.9)),
             Err(Refusal::Busy),
             "two are waiting"
         );
         assert_eq!((seen.borrow().height, *resets.borrow()), (1.6, 2));
         assert_eq!(control.tracker(), TrackerKind::Pip);
-        assert_eq!(consumer.pop(), Some(Request::Height(1.6)));
+        assert_eq!(consumer.pop(), Some(height(1.6)));
         assert_eq!(consumer.pop(), Some(Request::Tracker(TrackerKind::Pip)));
         assert_eq!(control.request(Request::Reset), Ok(()));
     }
 
     #[test]
+    fn the_body_is_as_tall_as_the_avatar() {
+        let (wearer, seen) = watch::channel(Wearer::of_height(1.75));
+        let (control, mut consumer) = control(wearer);
+        let tall = Request::Height {
+            metres: 1.6,
+            avatar: Avatar::Metres(2.0),
+        };
+        assert_eq!(control.request(tall), Ok(()));
+        assert_eq!((seen.borrow().height, control.heights().wearer), (2.0, 1.6));
+        control.measured(1.7);
+        assert_eq!((seen.borrow().height, control.heights().wearer), (2.0, 1.7));
+        let own = Request::Height {
+            metres: 1.65,
+            avatar: Avatar::Own,
+        };
+        assert_eq!(control.request(own), Ok(()));
+        assert_eq!(
+            (seen.borrow().height, control.heights().wearer),
+            (1.65, 1.65)
+        );
+        assert_eq!((consumer.pop(), consumer.pop()), (Some(tall), Some(own)));
+        let resets = *control.resets().borrow();
+        let to = ObjectMove {
+            index: 0,
+            position: Vec3::ONE,
+            rotation: Quat::IDENTITY,
+            velocity: Vec3::ZERO,
+            angular_velocity: Vec3::ZERO,
+        };
+        assert_eq!(control.request(Request::Move(to)), Ok(()));
+        assert_eq!(consumer.pop(), Some(Request::Move(to)));
+        assert_eq!(*control.resets().borrow(), resets, "nothing starts anew");
+    }
+
+    #[test]
     fn what_makes_no_sense_is_refused_in_words() {
         let (control, mut consumer) = control(watch::Sender::new(Wearer::of_height(1.75)));
-        for height in [0.5, 3.0, f32::NAN, f32::INFINITY] {
-            let refusal = control.request(Request::Height(height)).unwrap_err();
+        for metres in [0.5, 3.0, f32::NAN, f32::INFINITY] {
+            let refusal = control.request(height(metres)).unwrap_err();
+            assert!(refusal.to_string().contains("give 1 to 2.5"), "{refusal}");
+            let avatar = Avatar::Metres(metres);
+            let refusal = control.request(Request::Height {
+                metres: 1.8,
+                avatar,
+            });
+            let refusal = refusal.unwrap_err();
             assert!(refusal.to_string().contains("give 1 to 2.5"), "{refusal}");
         }
         let refusal = control
             .request(Request::Tracker(TrackerKind::QuestSim))
             .unwrap_err();
         assert_eq!(refusal.to_string(), "tracker questsim: there are ik, pip");
+        let to = ObjectMove {
+            index: 1,
+            position: Vec3::ZERO,
+            rotation: Quat::IDENTITY,
+            velocity: Vec3::ZERO,
+            angular_velocity: Vec3::ZERO,
+        };
+        let refusal = control.request(Request::Move(to)).unwrap_err();
+        assert_eq!(refusal.to_string(), "object 1 is not in the scene");
         assert_eq!(consumer.pop(), None);
     }
 }

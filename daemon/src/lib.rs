@@ -8,6 +8,7 @@ pub mod config;
 pub mod control;
 pub mod follow;
 pub mod grpc;
+pub mod heights;
 pub mod models;
 pub mod notify;
 pub mod output;

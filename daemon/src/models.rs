@@ -2,6 +2,7 @@
 
 use std::{env, path::PathBuf};
 
+use posed_body::scene::Scene;
 use posed_tracker::{
     HmdNemo, Pip, QuestSim, Tracker, TrackerKind, hmd_nemo,
     inference::{InferenceError, Runtime},
@@ -33,11 +34,16 @@ impl Models {
         Runtime::load(&library()).map(|runtime| Self { runtime })
     }
 
-    /// A fresh tracker of a kind that needs a model; `None` for one that has no model here.
+    /// A fresh tracker of a kind that needs a model; `None` for one that has no model here. What is
+    /// simulated is so in `scene`.
     ///
     /// # Errors
     /// The model does not fit this program.
-    pub fn tracker(&self, kind: TrackerKind) -> Result<Option<Box<dyn Tracker>>, InferenceError> {
+    pub fn tracker(
+        &self,
+        kind: TrackerKind,
+        scene: &Scene,
+    ) -> Result<Option<Box<dyn Tracker>>, InferenceError> {
         Ok(match kind {
             TrackerKind::HmdNemo => {
                 let options = hmd_nemo::Options::default();
@@ -45,7 +51,11 @@ impl Models {
             }
             TrackerKind::Pip => Some(Box::new(self.pip(None, pip::Options::default())?)),
             TrackerKind::QuestSim => {
-                Some(Box::new(self.questsim(None, questsim::Options::default())?))
+                let options = questsim::Options {
+                    scene: scene.clone(),
+                    ..questsim::Options::default()
+                };
+                Some(Box::new(self.questsim(None, options)?))
             }
             TrackerKind::Ik => None,
         })

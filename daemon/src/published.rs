@@ -3,7 +3,7 @@
 
 use posed_body::{BodyPose, Joints};
 use posed_signal::{Battery, DeviceId, HostTime, Lookup, Pose, Radio, Role, Serial};
-use posed_tracker::{Forces, Quality, TrackerKind, worn};
+use posed_tracker::{Forces, ObjectPose, Objects, Quality, Recoveries, TrackerKind, worn};
 use serde::{Serialize, Serializer, ser::SerializeStruct as _};
 
 /// One tick's result. It is `Copy`, so that it passes from the tracker thread without allocation.
@@ -33,6 +33,12 @@ pub struct PublishedPose {
     pub parts: [Lookup<Pose>; Role::COUNT],
     /// How well the wearer's inertial trackers are calibrated, and how their headings wander.
     pub worn: worn::Report,
+    /// The things in the scene, of a tracker that simulates one.
+    pub objects: Objects,
+    /// How often a simulated body had to be put back on its feet since the start.
+    pub recoveries: Option<Recoveries>,
+    /// The wearer's height, metres, once it was measured.
+    pub measured_m: Option<f32>,
 }
 
 impl PublishedPose {
@@ -57,6 +63,7 @@ impl PublishedPose {
                 .iter()
                 .all(|part| part.value().is_none_or(|pose| pose.is_sound()))
             && self.forces.as_ref().is_none_or(Forces::is_sound)
+            && self.objects.is_sound()
     }
 }
 
@@ -89,14 +96,39 @@ impl ForcesLine {
     }
 }
 
+#[derive(Serialize)]
+struct ObjectLine {
+    position: [f32; 3],
+    rotation: [f32; 4],
+    touched: bool,
+}
+
+impl ObjectLine {
+    fn of(object: &ObjectPose) -> Self {
+        Self {
+            position: object.position.to_array(),
+            rotation: object.rotation.to_array(),
+            touched: object.touched,
+        }
+    }
+}
+
 /// The line of `--poses` and of `posed follow --json`: times in ns, metres, quaternions x, y, z, w.
 /// `forces` is there when the tracker has physics: joint torques in the joints' own frames, the
 /// force of the ground on the body, and for the left and the right foot its force, its centre of
-/// pressure and the probability that the foot stands.
+/// pressure and the probability that the foot stands. Of a tracker that simulates a body,
+/// `recoveries` are the falls, drifts and faults after which it was put back on its feet, and
+/// `objects` the things in the scene.
 impl Serialize for PublishedPose {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        let mut line =
-            serializer.serialize_struct("PublishedPose", 8 + usize::from(self.forces.is_some()))?;
+        let objects: Vec<_> = self.objects.iter().map(ObjectLine::of).collect();
+        let optional = [
+            self.forces.is_some(),
+            self.recoveries.is_some(),
+            !objects.is_empty(),
+        ];
+        let fields = 8 + optional.into_iter().filter(|there| *there).count();
+        let mut line = serializer.serialize_struct("PublishedPose", fields)?;
         line.serialize_field("sample_ns", &self.sample_at.0)?;
         line.serialize_field("target_ns", &self.target_at.0)?;
         line.serialize_field("publish_ns", &self.publish_at.0)?;
@@ -113,6 +145,17 @@ impl Serialize for PublishedPose {
         )?;
         if let Some(forces) = &self.forces {
             line.serialize_field("forces", &ForcesLine::of(forces))?;
+        }
+        if let Some(Recoveries {
+            falls,
+            drifts,
+            faults,
+        }) = self.recoveries
+        {
+            line.serialize_field("recoveries", &[falls, drifts, faults])?;
+        }
+        if !objects.is_empty() {
+            line.serialize_field("objects", &objects)?;
         }
         line.end()
     }
@@ -189,6 +232,21 @@ pub(crate) mod tests {
             forces: (sequence % 2 == 1).then(|| forces_at(turn)),
             parts,
             worn: worn::Report::default(),
+            objects: (0..sequence % 3).map(object_at).collect(),
+            recoveries: (sequence % 2 == 1).then_some(Recoveries {
+                falls: sequence,
+                drifts: 2,
+                faults: 1,
+            }),
+            measured_m: None,
+        }
+    }
+
+    fn object_at(index: u64) -> ObjectPose {
+        ObjectPose {
+            position: Vec3::new(index as f32, 0.1, -1.0),
+            rotation: Quat::from_rotation_z(0.2 * index as f32),
+            touched: index == 1,
         }
     }
 
@@ -225,6 +283,10 @@ pub(crate) mod tests {
         assert_eq!(line["joints"].as_array().map(Vec::len), Some(22));
         assert_eq!(line["rotations"][21].as_array().map(Vec::len), Some(4));
         assert_eq!(line["joints"][0], line["root"]);
+        assert_eq!(line["recoveries"], serde_json::json!([7, 2, 1]));
+        assert_eq!(line["objects"].as_array().map(Vec::len), Some(1));
+        let line = serde_json::to_value(pose_at(6, HostTime(9_000_000))).unwrap();
+        assert!(line.get("recoveries").is_none() && line.get("objects").is_none());
     }
 
     #[test]

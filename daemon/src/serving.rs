@@ -9,12 +9,11 @@ use std::{
 
 use posed_device::rig::DeviceInfo;
 use posed_signal::{Clock, HostTime, PoseHow, ring::Producer, time::MILLISECOND_NS};
-use posed_tracker::{TrackerKind, Wearer};
 use tokio::{runtime, sync::watch, task::JoinHandle};
 
 use crate::{
     config::Grpc,
-    control::Control,
+    control::{Control, Known},
     grpc::{self, Hub, ListenError, Listeners, PoseSink, Services},
     output::record::Recorder,
     pipeline::tracking::Request,
@@ -49,16 +48,12 @@ pub struct Setup<'a> {
     pub runtime_dir: Option<&'a Path>,
     /// Where recordings are written.
     pub recordings: Option<PathBuf>,
-    /// Who is tracked at first.
-    pub wearer: Wearer,
     /// Poses a second.
     pub rate_hz: f64,
     /// The way of requests to the tracker.
     pub requests: Producer<Request>,
-    /// The tracker at first.
-    pub tracker: TrackerKind,
-    /// The trackers that can be chosen.
-    pub trackers: Vec<TrackerKind>,
+    /// What can be asked of it, and what holds at first.
+    pub known: Known,
     /// What poses' times are told by.
     pub clock: Arc<dyn Clock + Send + Sync>,
 }
@@ -83,9 +78,9 @@ impl Serving {
         let names = listeners.names().to_vec();
         let (sink, hub) = Hub::new()?;
         let (devices, devices_seen) = watch::channel(Vec::new());
-        let (wearer, wearer_seen) = watch::channel(setup.wearer);
+        let (wearer, wearer_seen) = watch::channel(setup.known.heights.body());
         let (stop, mut stopped) = watch::channel(false);
-        let control = Control::new(setup.requests, wearer, setup.tracker, setup.trackers);
+        let control = Control::new(setup.requests, wearer, setup.known);
         let services = Services {
             recorder: Recorder::new(hub.clone(), setup.recordings, setup.rate_hz),
             hub,
@@ -99,6 +94,7 @@ impl Serving {
             .thread_name("grpc")
             .enable_all()
             .build()?;
+        runtime.spawn(tell_measured(services.clone()));
         let served = services.clone();
         let server = runtime.spawn(async move {
             let shutdown = async move {
@@ -158,6 +154,20 @@ impl Serving {
         });
         self.runtime.shutdown_timeout(STOP_TIMEOUT);
         answer
+    }
+}
+
+/// Tells everybody of a height that the tracker loop has measured.
+async fn tell_measured(services: Services) {
+    let (mut changes, mut last) = (services.hub.changes(), None);
+    while changes.changed().await.is_ok() {
+        let measured = services.hub.latest().and_then(|pose| pose.measured_m);
+        if measured != last {
+            last = measured;
+            measured
+                .into_iter()
+                .for_each(|metres| services.control.measured(metres));
+        }
     }
 }
 

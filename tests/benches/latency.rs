@@ -20,6 +20,7 @@ use posed::{
     postures,
     simulated::{self, Person},
 };
+use posed_body::scene::Scene;
 use posed_device::{
     capture::{UsbmonOptions, UsbmonWriter, open},
     decode::Command,
@@ -70,7 +71,7 @@ fn trackers_replay() -> Replay {
 fn trackers_options() -> Result<Options, posed_tracker::inference::InferenceError> {
     let mut options = Options {
         trackers: Models::load()?
-            .tracker(TrackerKind::Pip)?
+            .tracker(TrackerKind::Pip, &Scene::default())?
             .into_iter()
             .collect(),
         tracker: TrackerKind::Pip,

@@ -19,8 +19,10 @@ use posed::{
     clock::Monotonic,
     commands::demo,
     config::{self, Grpc, Loopback, UnixSocket},
+    control::Known,
     follow::{Follower, Late, Server},
     grpc::PoseSink,
+    heights::Heights,
     output::{
         export,
         record::{Format, Wish},
@@ -40,7 +42,7 @@ use posed_device::{
     usb::Port,
 };
 use posed_signal::{Clock as _, HostTime, ring::Producer, time::SECOND_NS};
-use posed_tracker::{TrackerKind, Wearer};
+use posed_tracker::TrackerKind;
 
 const RATE_HZ: f64 = 90.0;
 const FOLLOWERS: usize = 32;
@@ -207,11 +209,14 @@ impl Outputs {
             grpc: &grpc,
             runtime_dir: None,
             recordings: Some(folder.path().into()),
-            wearer: Wearer::of_height(demo::HEIGHT),
             rate_hz: RATE_HZ,
             requests,
-            tracker: TrackerKind::Ik,
-            trackers: vec![TrackerKind::Ik],
+            known: Known {
+                heights: Heights::of(demo::HEIGHT),
+                tracker: TrackerKind::Ik,
+                trackers: vec![TrackerKind::Ik],
+                objects: 0,
+            },
             clock: Arc::new(Monotonic),
         };
         let (sink, serving) = Serving::start(setup).expect("a socket");

@@ -9,6 +9,7 @@ use posed::{
     commands::demo::{options, replay},
     pipeline::source::Taken,
 };
+use posed_body::scene::Scene;
 use posed_device::transport::Event;
 use posed_signal::{HostTime, Role, VirtualClock};
 use posed_tracker::TrackerKind;
@@ -104,7 +105,7 @@ fn the_tracker_loop_does_not_allocate() {
     // ONNX Runtime allocates in C++, out of this allocator's sight; the rest of the tracker is
     // Rust.
     let tracker = models()
-        .tracker(TrackerKind::HmdNemo)
+        .tracker(TrackerKind::HmdNemo, &Scene::default())
         .expect("the model fits")
         .expect("built in");
     ticks_without_allocating(Options {

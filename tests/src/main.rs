@@ -6,6 +6,7 @@ mod demo;
 mod layering;
 mod naming;
 mod pip;
+mod questsim;
 mod shared;
 mod stage;
 mod tidy;

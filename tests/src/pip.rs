@@ -17,6 +17,7 @@ use posed_body::{
     BodyPose,
     character::average_mass,
     motion::{Clip, MotionSet, Trajectory},
+    scene::Scene,
 };
 use posed_device::{
     capture::open,
@@ -39,7 +40,9 @@ use crate::{
 const RATE_HZ: f64 = 60.0;
 
 fn pip() -> Box<dyn Tracker> {
-    let tracker = models().tracker(TrackerKind::Pip).expect("the model fits");
+    let tracker = models()
+        .tracker(TrackerKind::Pip, &Scene::default())
+        .expect("the model fits");
     tracker.expect("PIP is built in")
 }
 

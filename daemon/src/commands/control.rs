@@ -15,6 +15,7 @@ use crate::{
     cli::{CalibrateArgs, HeightArgs, RecordStartArgs, ServerArgs, TrackerArgs},
     follow::{FollowError, Server},
     grpc::convert,
+    heights::Avatar,
     output::record::Wish,
 };
 
@@ -34,11 +35,19 @@ pub fn reset(args: &ServerArgs) -> Result<(), CommandError> {
 /// No posed answers.
 pub fn height(args: &HeightArgs) -> Result<(), CommandError> {
     if let Some(height_m) = args.height {
+        let wish = SetHeightRequest {
+            height_m,
+            avatar_height_m: convert::avatar(args.avatar.unwrap_or(Avatar::Keep)),
+        };
         ask(&args.server, async |mut client| {
-            client.set_height(SetHeightRequest { height_m }).await
+            client.set_height(wish).await
         })?;
     }
-    println!("{:.2} m", state(&args.server)?.height_m);
+    let state = state(&args.server)?;
+    match state.avatar_height_m {
+        Some(avatar) => println!("{:.2} m, shown as {avatar:.2} m", state.height_m),
+        None => println!("{:.2} m", state.height_m),
+    }
     Ok(())
 }
 

@@ -6,13 +6,14 @@ use std::{
     sync::Arc,
 };
 
+use posed_body::scene::Scene;
 use posed_device::{
     catalog,
     lighthouse::{self, room},
     rig,
 };
 use posed_signal::{Serial, ring::Producer};
-use posed_tracker::{Ik, Physical, Tracker, TrackerKind, Wearer, gather};
+use posed_tracker::{Ik, Physical, Tracker, TrackerKind, gather};
 
 use super::CommandError;
 use crate::{
@@ -20,7 +21,9 @@ use crate::{
     cli::BodyArgs,
     clock::Monotonic,
     config::{self, Config},
+    control::Known,
     grpc::PoseSink,
+    heights::Heights,
     models::Models,
     output,
     page::{self, Page, Station},
@@ -37,6 +40,7 @@ pub fn configuration(args: &BodyArgs) -> Result<Config, CommandError> {
     if let Some(height) = args.height {
         config.wearer.height_m = height;
     }
+    config.wearer.avatar_height_m = args.avatar_height.or(config.wearer.avatar_height_m);
     if let Some(tracker) = args.tracker {
         config.tracker.name = tracker;
     }
@@ -79,16 +83,24 @@ pub fn options(config: &Config) -> Result<Options, CommandError> {
         },
     };
     Ok(Options {
-        trackers: with_physics(trackers(config.tracker.name), config),
+        trackers: with_physics(trackers(config.tracker.name, &config.scene), config),
         rig: rig::Settings {
             devices,
             roles: roles.collect(),
             ..rig::Settings::default()
         },
         tracker: config.tracker.name,
-        height: config.wearer.height_m,
+        heights: heights(config),
+        measure_height: config.wearer.measure_height,
         horizon_ns: (config.tracker.prediction_ms * 1e6) as i64,
     })
+}
+
+fn heights(config: &Config) -> Heights {
+    Heights {
+        wearer: config.wearer.height_m,
+        avatar: config.wearer.avatar_height_m,
+    }
 }
 
 /// Takes the room over that was kept at the last start. One that cannot be used is no reason not
@@ -115,23 +127,28 @@ pub(super) fn base_stations(
         .map_err(|error| CommandError::Input(format!("{}: {error}", path.display())))
 }
 
-/// Puts physics behind the trackers, and behind `ik` if that is what was asked for.
+/// Puts physics behind the trackers, and behind `ik` if that is what was asked for. QuestSim's
+/// character obeys it already, on a ground of its own.
 fn with_physics(trackers: Vec<Box<dyn Tracker>>, config: &Config) -> Vec<Box<dyn Tracker>> {
     if !config.tracker.physics {
         return trackers;
     }
-    let wearer = Wearer::of_height(config.wearer.height_m);
+    let wearer = heights(config).body();
     let ik = (config.tracker.name == TrackerKind::Ik).then(|| Box::new(Ik::default()) as _);
     let physical = |inner| Physical::new(inner, &wearer, config.tracker.rate_hz);
     let all = trackers.into_iter().chain(ik);
-    all.map(|inner| Box::new(physical(inner)) as _).collect()
+    let one = |inner: Box<dyn Tracker>| match inner.kind() {
+        TrackerKind::QuestSim => inner,
+        _ => Box::new(physical(inner)),
+    };
+    all.map(one).collect()
 }
 
 /// Every tracker that this build has a model for; `ik` is always there besides. That `wanted`
 /// cannot be had is no reason to do without a body: a warning says so, and `ik` stands in.
-pub(super) fn trackers(wanted: TrackerKind) -> Vec<Box<dyn Tracker>> {
+pub(super) fn trackers(wanted: TrackerKind, scene: &Scene) -> Vec<Box<dyn Tracker>> {
     let (trackers, warning) = match Models::load() {
-        Ok(models) => gather(wanted, |kind| models.tracker(kind)),
+        Ok(models) => gather(wanted, |kind| models.tracker(kind, scene)),
         Err(error) => gather(wanted, |_| Err(error.clone())),
     };
     if let Some(warning) = warning {
@@ -154,11 +171,14 @@ pub(super) fn serve(
         grpc: &config.grpc,
         runtime_dir: runtime_dir.as_deref(),
         recordings: recordings(config),
-        wearer: Wearer::of_height(config.wearer.height_m),
         rate_hz: config.tracker.rate_hz,
         requests,
-        tracker: config.tracker.name,
-        trackers,
+        known: Known {
+            heights: heights(config),
+            tracker: config.tracker.name,
+            trackers,
+            objects: config.scene.objects.len(),
+        },
         clock: Arc::new(Monotonic),
     };
     Ok(Serving::start(setup)?)

@@ -4,7 +4,7 @@ use std::fmt::Write as _;
 
 use posed_device::rig::DeviceInfo;
 use posed_signal::{HostTime, Lookup, Pose, PoseHow, Role, time::SECOND_NS};
-use posed_tracker::worn;
+use posed_tracker::{Recoveries, worn};
 use serde::Serialize;
 
 use crate::published::PublishedPose;
@@ -30,6 +30,7 @@ pub struct Tally {
     residual_squares: [f64; Role::COUNT],
     qualities: [u64; 4],
     worn: worn::Report,
+    recoveries: Option<Recoveries>,
 }
 
 impl Tally {
@@ -38,6 +39,7 @@ impl Tally {
         let first = *self.first.get_or_insert(pose.target_at);
         self.ticks += 1;
         self.worn = pose.worn;
+        self.recoveries = pose.recoveries;
         self.qualities[pose.quality as usize] += 1;
         if pose.target_at.since_ns(first) < WARM_UP_NS {
             return;
@@ -93,6 +95,7 @@ impl Tally {
             },
             devices: devices.iter().map(device).collect(),
             calibrated: self.worn.calibrated,
+            recoveries: self.recoveries.map(RecoveriesReport::from),
         }
     }
 }
@@ -119,6 +122,26 @@ pub struct Report {
     pub devices: Vec<DeviceReport>,
     /// Inertial trackers that are calibrated.
     pub calibrated: u8,
+    /// How often a simulated body had to be put back on its feet.
+    pub recoveries: Option<RecoveriesReport>,
+}
+
+/// How often a simulated body had to be put back on its feet, see [`posed_tracker::Recoveries`].
+#[derive(Debug, Clone, Copy, Serialize)]
+pub struct RecoveriesReport {
+    pub falls: u64,
+    pub drifts: u64,
+    pub faults: u64,
+}
+
+impl From<Recoveries> for RecoveriesReport {
+    fn from(counts: Recoveries) -> Self {
+        Self {
+            falls: counts.falls,
+            drifts: counts.drifts,
+            faults: counts.faults,
+        }
+    }
 }
 
 /// Body poses by quality, see [`posed_tracker::Quality`].
@@ -207,6 +230,17 @@ impl Report {
             );
         }
         self.trackers(&mut text);
+        if let Some(counts) = self.recoveries {
+            let RecoveriesReport {
+                falls,
+                drifts,
+                faults,
+            } = counts;
+            let _ = writeln!(
+                text,
+                "the simulated body was put back after {falls} falls, {drifts} drifts, {faults} faults"
+            );
+        }
         text
     }
 

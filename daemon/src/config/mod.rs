@@ -9,6 +9,7 @@ mod outputs;
 
 use std::{collections::BTreeMap, path::PathBuf};
 
+use posed_body::scene::{Scene, SceneError};
 use posed_signal::Role;
 use posed_tracker::TrackerKind;
 use serde::Deserialize;
@@ -43,6 +44,8 @@ pub struct Config {
     pub vrchat: VrChat,
     /// Recordings of poses.
     pub recording: Recordings,
+    /// What the simulated character stands on and bumps into.
+    pub scene: Scene,
     /// What to log.
     pub log: Log,
 }
@@ -53,6 +56,10 @@ pub struct Config {
 pub struct Wearer {
     /// Height, metres.
     pub height_m: f32,
+    /// Whether the first seconds upright tell the height.
+    pub measure_height: bool,
+    /// Height of the body shown, metres; the wearer's own where this is left out.
+    pub avatar_height_m: Option<f32>,
 }
 
 /// `[tracker]`.
@@ -103,7 +110,11 @@ pub struct Log {
 
 impl Default for Wearer {
     fn default() -> Self {
-        Self { height_m: 1.75 }
+        Self {
+            height_m: 1.75,
+            measure_height: false,
+            avatar_height_m: None,
+        }
     }
 }
 
@@ -167,6 +178,14 @@ pub enum ConfigError {
         /// What would be right.
         allowed: String,
     },
+    /// The scene cannot be built.
+    #[error("{origin}: {source}")]
+    Scene {
+        /// Which file.
+        origin: String,
+        /// What is wrong.
+        source: SceneError,
+    },
     /// Two devices cannot be worn at the same place.
     #[error("devices.roles: {first} and {second} are both {role}; give each role to one device")]
     RoleTwice {
@@ -202,10 +221,12 @@ pub fn parse(layers: &[Layer]) -> Result<Config, ConfigError> {
         // Each layer is checked by itself, so that a message can name the file.
         let config: Config = toml::from_str(&layer.text).map_err(|error| syntax(&error))?;
         config.check_ranges(&layer.origin)?;
-        merge(
-            &mut merged,
-            layer.text.parse().map_err(|error| syntax(&error))?,
-        );
+        let table: toml::Table = layer.text.parse().map_err(|error| syntax(&error))?;
+        if table.contains_key("scene") {
+            // Half of one scene and half of another are none.
+            merged.remove("scene");
+        }
+        merge(&mut merged, table);
     }
     let config: Config =
         merged
@@ -241,14 +262,15 @@ impl Config {
             })
         };
         let span = |unit, (low, high): (f64, f64)| format!("{unit} from {low:?} to {high:?}");
-        let height = self.wearer.height_m;
-        if !HEIGHT_M.contains(&height) {
-            let bounds = (f64::from(*HEIGHT_M.start()), f64::from(*HEIGHT_M.end()));
-            return fail(
-                "wearer.height_m",
-                height.to_string(),
-                span("metres", bounds),
-            );
+        let heights = [
+            ("wearer.height_m", Some(self.wearer.height_m)),
+            ("wearer.avatar_height_m", self.wearer.avatar_height_m),
+        ];
+        for (key, height) in heights {
+            if let Some(height) = height.filter(|height| !HEIGHT_M.contains(height)) {
+                let bounds = (f64::from(*HEIGHT_M.start()), f64::from(*HEIGHT_M.end()));
+                return fail(key, height.to_string(), span("metres", bounds));
+            }
         }
         let rate = self.tracker.rate_hz;
         if !RATE_HZ.contains(&rate) {
@@ -279,6 +301,10 @@ impl Config {
             let allowed = "error, warn, info, debug or trace, or these by module".into();
             return fail("log.filter", filter.clone(), allowed);
         }
+        self.scene.validate().map_err(|source| ConfigError::Scene {
+            origin: origin.into(),
+            source,
+        })?;
         outputs::check_rate(origin, "vmc.rate_hz", self.vmc.rate_hz)?;
         outputs::check_rate(origin, "vrchat.rate_hz", self.vrchat.rate_hz)
     }

@@ -25,12 +25,58 @@ fn the_documented_file_names_every_key() {
         .lines()
         .map(|line| match line.strip_prefix("# ") {
             Some(key) if key.contains(" = \"/") || key.contains("\" = \"") => format!("{key}\n"),
+            Some(key) if key.starts_with("avatar_height_m") => format!("{key}\n"),
             _ => format!("{line}\n"),
         })
         .collect();
     let config = parse(&[layer("default.toml", &text)]).unwrap();
     assert!(config.devices.base_stations.is_some());
     assert_eq!(config.devices.roles["LHR-12345678"], Role::Waist);
+    assert_eq!(config.wearer.avatar_height_m, Some(1.95));
+}
+
+#[test]
+fn the_documented_scenes_can_be_built() {
+    let text = include_str!("default.toml");
+    let list = text.split("# objects = [").nth(1).unwrap();
+    let list = list.split("# ]").next().unwrap().replace("\n#", "\n");
+    let grounds = text.lines().filter_map(|line| {
+        let ground = line.strip_prefix("#   { kind")?;
+        Some(format!("{{ kind{}}}", ground.split('}').next()?))
+    });
+    let grounds: Vec<_> = grounds.collect();
+    assert_eq!(grounds.len(), 4);
+    for ground in grounds {
+        let scene = format!("[scene]\nground = {ground}\nobjects = [{list}]\n");
+        let config = parse(&[layer("posed.toml", &scene)]).unwrap();
+        assert_eq!(config.scene.objects.len(), 4);
+        let loose = config
+            .scene
+            .objects
+            .iter()
+            .map(posed_body::scene::Object::is_loose);
+        assert_eq!(loose.collect::<Vec<_>>(), [true, true, false, false]);
+    }
+}
+
+#[test]
+fn a_scene_replaces_the_one_below() {
+    let ball = "objects = [{ kind = \"ball\", radius = 0.1, mass = 1.0, position = [0, 1, 0] }]";
+    let rough = "ground = { kind = \"rough\", amplitude = 0.1 }";
+    let config = parse(&[
+        layer("system", &format!("[scene]\n{rough}\n{ball}\n")),
+        layer(
+            "user",
+            "[scene]\nground = { kind = \"slope\", degrees = 3 }\n",
+        ),
+    ])
+    .unwrap();
+    assert!(config.scene.objects.is_empty());
+    let slope = posed_body::scene::Ground::Slope {
+        degrees: 3.0,
+        heading: 0.0,
+    };
+    assert_eq!(config.scene.ground, slope);
 }
 
 #[test]
@@ -67,7 +113,31 @@ fn errors_say_file_key_value_and_what_is_allowed() {
             "[wearer]\nheight_m = nan\n",
             &["wearer.height_m = NaN", "metres"],
         ),
+        (
+            "[wearer]\navatar_height_m = 0.2\n",
+            &["wearer.avatar_height_m = 0.2", "metres"],
+        ),
         ("[wearer]\nheight_m = \"tall\"\n", &["line 2", "tall"]),
+        (
+            "[scene]\nground = { kind = \"lava\" }\n",
+            &["lava", "rough", "line 2"],
+        ),
+        (
+            "[scene]\nground = { kind = \"slope\", degrees = 60.0 }\n",
+            &["the scene's ground slopes more than 45"],
+        ),
+        (
+            "[[scene.objects]]\nkind = \"ball\"\nradius = nan\nmass = 1\nposition = [0, 0, 0]\n",
+            &["the scene's object 0 has a radius outside 0.01 to 20 m"],
+        ),
+        (
+            "[[scene.objects]]\nkind = \"chair\"\nposition = [0, 0, inf]\n",
+            &["object 0 is further than 100 m away"],
+        ),
+        (
+            "[[scene.objects]]\nkind = \"ball\"\nradius = 0.1\nposition = [0, 0, 0]\n",
+            &["mass"],
+        ),
         (
             "[wearer]\nhight_m = 1.8\n",
             &["hight_m", "height_m", "line 2"],

@@ -208,6 +208,13 @@ impl<'a> Printer<'a> {
                 position.x, position.y, position.z
             )?;
         }
+        if let Some(counts) = pose.recoveries {
+            write!(
+                self.out,
+                "  falls {} drifts {} faults {}",
+                counts.falls, counts.drifts, counts.faults
+            )?;
+        }
         writeln!(self.out)?;
         self.out.flush()
     }

@@ -2,9 +2,10 @@
 
 use posed_proto::v1::{
     CalibrateRequest, CalibrateResponse, GetControlStateRequest, GetControlStateResponse,
-    ResetRequest, ResetResponse, SetHeightRequest, SetHeightResponse, SetTrackerRequest,
-    SetTrackerResponse, StartRecordingRequest, StartRecordingResponse, StopRecordingRequest,
-    StopRecordingResponse, control_service_server::ControlService,
+    MoveObjectRequest, MoveObjectResponse, ResetRequest, ResetResponse, SetHeightRequest,
+    SetHeightResponse, SetTrackerRequest, SetTrackerResponse, StartRecordingRequest,
+    StartRecordingResponse, StopRecordingRequest, StopRecordingResponse,
+    control_service_server::ControlService,
 };
 use tokio::task;
 use tonic::{Request, Response, Status};
@@ -26,7 +27,7 @@ impl ControlService for Controls {
     ) -> Result<Response<GetControlStateResponse>, Status> {
         let control = &self.services.control;
         Ok(Response::new(convert::control_state(
-            &self.services.wearer.borrow(),
+            &control.heights(),
             control.tracker(),
             control.trackers(),
             self.services.recorder.recording().as_ref(),
@@ -42,8 +43,22 @@ impl ControlService for Controls {
         &self,
         request: Request<SetHeightRequest>,
     ) -> Result<Response<SetHeightResponse>, Status> {
-        self.request(tracking::Request::Height(request.into_inner().height_m))?;
+        let wish = request.into_inner();
+        self.request(tracking::Request::Height {
+            metres: wish.height_m,
+            avatar: convert::to_avatar(wish.avatar_height_m),
+        })?;
         Ok(Response::new(SetHeightResponse {}))
+    }
+
+    async fn move_object(
+        &self,
+        request: Request<MoveObjectRequest>,
+    ) -> Result<Response<MoveObjectResponse>, Status> {
+        let to = convert::to_object_move(&request.into_inner());
+        let missing = || Status::invalid_argument("the position is missing");
+        self.request(tracking::Request::Move(to.ok_or_else(missing)?))?;
+        Ok(Response::new(MoveObjectResponse {}))
     }
 
     async fn set_tracker(
@@ -112,7 +127,9 @@ fn refused(refusal: &Refusal) -> Status {
     let text = refusal.to_string();
     match refusal {
         Refusal::Busy => Status::resource_exhausted(text),
-        Refusal::Height(_) | Refusal::Tracker { .. } => Status::invalid_argument(text),
+        Refusal::Height(_) | Refusal::Tracker { .. } | Refusal::Object { .. } => {
+            Status::invalid_argument(text)
+        }
     }
 }
 

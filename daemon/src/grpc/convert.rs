@@ -4,9 +4,12 @@ use glam::{Quat, Vec3};
 use posed_body::{BodyPose, JOINTS, Joints, optimiser::FootForce, skeleton};
 use posed_proto::v1;
 use posed_signal::{Battery, HostTime, Lookup, Pose, PoseHow, Role};
-use posed_tracker::{Forces, Quality, Stance, TrackerKind, Wearer};
+use posed_tracker::{
+    Forces, ObjectMove, ObjectPose, Objects, Quality, Recoveries, Stance, TrackerKind, Wearer,
+};
 
 use crate::{
+    heights::{Avatar, Heights},
     output::{
         export,
         names::Names,
@@ -266,7 +269,54 @@ pub(super) fn pose(pose: &PublishedPose) -> v1::Pose {
         joint_positions: pose.joints.positions.map(vector).to_vec(),
         parts: parts(&pose.parts),
         forces: pose.forces.as_ref().map(forces),
+        recoveries: pose.recoveries.map(recoveries),
+        objects: (0..).zip(pose.objects.iter()).map(object).collect(),
     }
+}
+
+fn recoveries(counts: Recoveries) -> v1::Recoveries {
+    v1::Recoveries {
+        falls: counts.falls,
+        drifts: counts.drifts,
+        faults: counts.faults,
+    }
+}
+
+fn object((index, pose): (u32, &ObjectPose)) -> v1::SceneObject {
+    v1::SceneObject {
+        index,
+        position: Some(vector(pose.position)),
+        rotation: Some(quaternion(pose.rotation)),
+        touched: pose.touched,
+    }
+}
+
+fn to_objects(wire: &[v1::SceneObject]) -> Result<Objects> {
+    let problem = "are out of order or too many";
+    let field = "objects";
+    let mut objects = Objects::NONE;
+    for (index, object) in wire.iter().enumerate() {
+        let position = object
+            .position
+            .as_ref()
+            .map(to_vec3)
+            .ok_or(missing(field))?;
+        let rotation = object
+            .rotation
+            .as_ref()
+            .map(to_quat)
+            .ok_or(missing(field))?;
+        let touched = object.touched;
+        objects.push(ObjectPose {
+            position,
+            rotation,
+            touched,
+        });
+        if object.index as usize != index || objects.len() != index + 1 {
+            return Err(ConvertError { field, problem });
+        }
+    }
+    Ok(objects)
 }
 
 /// The pose that a message holds.
@@ -314,6 +364,13 @@ pub(crate) fn to_pose(wire: &v1::Pose) -> Result<PublishedPose> {
         forces: wire.forces.as_ref().map(to_forces).transpose()?,
         parts,
         worn: Default::default(),
+        objects: to_objects(&wire.objects)?,
+        recoveries: wire.recoveries.as_ref().map(|counts| Recoveries {
+            falls: counts.falls,
+            drifts: counts.drifts,
+            faults: counts.faults,
+        }),
+        measured_m: None,
     };
     let problem = "holds numbers that are not finite or rotations that are not unit";
     if pose.is_sound() {
@@ -401,6 +458,36 @@ pub(crate) fn stance(stance: Stance) -> v1::Stance {
     }
 }
 
+/// Where a thing is to go; `None` without a position. Whether it can go there is not asked here.
+pub(super) fn to_object_move(wire: &v1::MoveObjectRequest) -> Option<ObjectMove> {
+    let or_zero = |v: &Option<v1::Vector3>| v.as_ref().map_or(Vec3::ZERO, to_vec3);
+    Some(ObjectMove {
+        index: wire.index as usize,
+        position: wire.position.as_ref().map(to_vec3)?,
+        rotation: wire.rotation.as_ref().map_or(Quat::IDENTITY, to_quat),
+        velocity: or_zero(&wire.velocity),
+        angular_velocity: or_zero(&wire.angular_velocity),
+    })
+}
+
+/// What becomes of the avatar's height, as `SetHeight` says it.
+pub(super) fn to_avatar(wire: Option<f32>) -> Avatar {
+    match wire {
+        None => Avatar::Keep,
+        Some(0.0) => Avatar::Own,
+        Some(metres) => Avatar::Metres(metres),
+    }
+}
+
+/// The inverse of [`to_avatar`].
+pub(crate) fn avatar(avatar: Avatar) -> Option<f32> {
+    match avatar {
+        Avatar::Keep => None,
+        Avatar::Own => Some(0.0),
+        Avatar::Metres(metres) => Some(metres),
+    }
+}
+
 fn format(format: Format) -> v1::RecordingFormat {
     match format {
         Format::Poses => v1::RecordingFormat::Poses,
@@ -453,13 +540,14 @@ pub(super) fn recording(recording: &Recording) -> v1::Recording {
 
 /// The answer to `GetControlState`.
 pub(super) fn control_state(
-    wearer: &Wearer,
+    heights: &Heights,
     chosen: TrackerKind,
     trackers: &[TrackerKind],
     recorded: Option<&Recording>,
 ) -> v1::GetControlStateResponse {
     v1::GetControlStateResponse {
-        height_m: wearer.height,
+        height_m: heights.wearer,
+        avatar_height_m: heights.avatar,
         tracker: tracker(chosen).into(),
         trackers: trackers.iter().map(|kind| tracker(*kind).into()).collect(),
         recording: recorded.map(recording),
@@ -514,6 +602,9 @@ mod tests {
             assert_eq!(to_wish(wish(&before)), Some(before));
         }
         assert_eq!(to_wish(v1::StartRecordingRequest::default()), None);
+        for known in [Avatar::Keep, Avatar::Own, Avatar::Metres(1.9)] {
+            assert_eq!(to_avatar(avatar(known)), known);
+        }
         for known in Stance::ALL {
             assert_eq!(to_stance(stance(known)), Some(known));
         }
@@ -544,6 +635,30 @@ mod tests {
         let mut infinite = good.clone();
         infinite.joint_positions[3].y = f32::INFINITY;
         assert_eq!(field(&infinite), "content");
+        let object = v1::SceneObject {
+            index: 0,
+            position: Some(v1::Vector3::default()),
+            rotation: Some(quaternion(Quat::IDENTITY)),
+            touched: false,
+        };
+        let number = |index| v1::SceneObject { index, ..object };
+        let with = |objects| v1::Pose {
+            objects,
+            ..good.clone()
+        };
+        assert_eq!(to_pose(&with(vec![object])).unwrap().objects.len(), 1);
+        assert_eq!(field(&with((0..17).map(number).collect())), "objects");
+        assert_eq!(field(&with(vec![number(1)])), "objects");
+        let placeless = v1::SceneObject {
+            position: None,
+            ..object
+        };
+        assert_eq!(field(&with(vec![placeless])), "objects");
+        let turnless = v1::SceneObject {
+            rotation: Some(v1::Quaternion::default()),
+            ..object
+        };
+        assert_eq!(field(&with(vec![turnless])), "content");
         let mut partless = good.clone();
         partless.parts[0].pose = None;
         assert_eq!(field(&partless), "parts");

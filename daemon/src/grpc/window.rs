@@ -158,6 +158,7 @@ fn moved(
         *made = turned.normalize();
     }
     made.joints = skeleton.forward(&made.pose);
+    made.objects = from.objects.between(&to.objects, fraction.clamp(0.0, 1.0));
     made
 }
 

@@ -8,6 +8,7 @@ use super::Page;
 use crate::{
     control::Refusal,
     grpc::Services,
+    heights::Avatar,
     output::record::{Format, RecordError, Recording, Wish as RecordWish},
     pipeline::{playback::Playback, tracking::Request},
 };
@@ -35,7 +36,10 @@ pub(super) async fn take(body: &[u8], page: &Page) -> Answer<String> {
         .map_err(|error| (StatusCode::BAD_REQUEST, format!("no request: {error}")))?;
     match wish {
         Wish::Reset => request(services, Request::Reset),
-        Wish::HeightM(height) => request(services, Request::Height(height)),
+        Wish::HeightM(metres) => {
+            let avatar = Avatar::Keep;
+            request(services, Request::Height { metres, avatar })
+        }
         Wish::Tracker(name) => match TrackerKind::from_name(&name) {
             Some(kind) => request(services, Request::Tracker(kind)),
             None => Err(refused(&services.control.no_tracker(&name))),
@@ -89,7 +93,9 @@ fn request(services: &Services, request: Request) -> Answer<String> {
 fn refused(refusal: &Refusal) -> (StatusCode, String) {
     let status = match refusal {
         Refusal::Busy => StatusCode::SERVICE_UNAVAILABLE,
-        Refusal::Height(_) | Refusal::Tracker { .. } => StatusCode::BAD_REQUEST,
+        Refusal::Height(_) | Refusal::Tracker { .. } | Refusal::Object { .. } => {
+            StatusCode::BAD_REQUEST
+        }
     };
     (status, refusal.to_string())
 }
@@ -130,7 +136,13 @@ mod tests {
         };
         let wishes = [
             ("\"reset\"", Request::Reset),
-            ("{\"height_m\": 1.8}", Request::Height(1.8)),
+            (
+                "{\"height_m\": 1.8}",
+                Request::Height {
+                    metres: 1.8,
+                    avatar: Avatar::Keep,
+                },
+            ),
             ("{\"tracker\": \"pip\"}", Request::Tracker(TrackerKind::Pip)),
         ];
         for (text, request) in wishes {

@@ -156,7 +156,7 @@ pub(super) fn status(page: &Page) -> Value {
         })
     });
     json!({ "status": {
-        "height_m": page.services.wearer.borrow().height,
+        "height_m": page.services.control.heights().wearer,
         "devices": devices,
         "ticks": ticks,
         "starts": *page.services.control.resets().borrow(),

@@ -20,6 +20,7 @@ use crate::{
         Hub, PoseSink,
         services::tests::{Ends, services},
     },
+    heights::Avatar,
     pipeline::tracking::Request,
     published::tests::pose_at,
 };
@@ -266,7 +267,11 @@ async fn buttons_reach_the_tracker_and_nonsense_does_not() {
         "two are waiting"
     );
     assert_eq!(served.ends.requests.pop(), Some(Request::Reset));
-    assert_eq!(served.ends.requests.pop(), Some(Request::Height(1.6)));
+    let height = Request::Height {
+        metres: 1.6,
+        avatar: Avatar::Keep,
+    };
+    assert_eq!(served.ends.requests.pop(), Some(height));
 }
 
 #[tokio::test]

@@ -6,4 +6,5 @@ mod naming;
 pub mod playback;
 pub mod replay;
 pub mod source;
+pub mod stature;
 pub mod tracking;

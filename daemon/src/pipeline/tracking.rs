@@ -8,15 +8,18 @@ use posed_signal::{
     device::DEVICES_MAX, latest::Reader, ring::Consumer,
 };
 use posed_tracker::{
-    Forces, Input, Tracked, Tracker, TrackerKind, Wearer,
+    Forces, Input, ObjectMove, Objects, Tracked, Tracker, TrackerKind, Wearer,
     ik::Ik,
-    sensors::Mounts,
+    sensors::{Mounts, rescale},
     tracker::NO_INERTIAL,
     worn::{self, Fitting, Stance},
 };
 
-use super::latency::LatencyModel;
-use crate::published::PublishedPose;
+use super::{latency::LatencyModel, stature::Stature};
+use crate::{
+    heights::{Avatar, Heights},
+    published::PublishedPose,
+};
 
 /// Device poses remembered: at 500 Hz the last half second, the span after which one is stale.
 const HISTORY: usize = 256;
@@ -35,12 +38,19 @@ pub type RoleTable = [Role; DEVICES_MAX];
 pub enum Request {
     /// Forget the past and start from what the devices say now.
     Reset,
-    /// The wearer's height, metres.
-    Height(f32),
+    /// The wearer's height, metres, and what becomes of the avatar's.
+    Height {
+        /// Metres.
+        metres: f32,
+        /// The avatar's height.
+        avatar: Avatar,
+    },
     /// Work with this tracker from now on.
     Tracker(TrackerKind),
     /// The wearer is about to hold this posture, from which inertial trackers are calibrated.
     Calibrate(Stance),
+    /// Put a thing in the scene somewhere else.
+    Move(ObjectMove),
 }
 
 /// Where samples come from and requests arrive.
@@ -60,7 +70,11 @@ pub struct Setup {
     pub trackers: Vec<Box<dyn Tracker>>,
     /// The one to begin with.
     pub choice: TrackerKind,
-    /// The wearer.
+    /// How tall the wearer is, and the body shown.
+    pub heights: Heights,
+    /// Whether the wearer's first seconds upright tell the height.
+    pub measure_height: bool,
+    /// The body shown.
     pub wearer: Wearer,
     /// How far beyond the tick poses are made for, ns.
     pub horizon_ns: i64,
@@ -88,6 +102,9 @@ pub struct TrackerLoop {
     trackers: Vec<Box<dyn Tracker>>,
     fallback: Ik,
     choice: TrackerKind,
+    heights: Heights,
+    stature: Stature,
+    /// The body shown.
     wearer: Wearer,
     mounts: Mounts,
     fitting: Fitting,
@@ -110,8 +127,10 @@ impl TrackerLoop {
             trackers: setup.trackers,
             fallback: Ik::default(),
             choice: setup.choice,
+            heights: setup.heights,
+            stature: Stature::new(setup.measure_height),
             wearer: setup.wearer,
-            mounts: Mounts::index(&setup.wearer),
+            mounts: setup.heights.mounts(&setup.wearer),
             fitting: Fitting::default(),
             latency: LatencyModel::new(setup.horizon_ns),
             last: Tracked {
@@ -135,6 +154,7 @@ impl TrackerLoop {
         self.take_requests();
         self.drain(observe);
         let target = self.latency.target(now);
+        self.measure(now);
         let parts = self.parts(target);
         let devices = self.inertial(target);
         let head = &parts[Role::Head as usize];
@@ -153,6 +173,8 @@ impl TrackerLoop {
         Setup {
             trackers: self.trackers,
             choice: self.choice,
+            heights: self.heights,
+            measure_height: self.stature.is_wanted(),
             wearer: self.wearer,
             horizon_ns: self.latency.horizon_ns(),
         }
@@ -174,11 +196,17 @@ impl TrackerLoop {
         for _ in 0..REQUESTS_MAX {
             match self.inputs.requests.pop() {
                 None => break,
-                Some(Request::Reset) => self.reset(),
-                Some(Request::Height(height)) => {
-                    self.wearer = Wearer::of_height(height);
-                    self.mounts = Mounts::index(&self.wearer);
+                Some(Request::Reset) => {
+                    self.stature.reset();
                     self.reset();
+                }
+                Some(Request::Height { metres, avatar }) => {
+                    self.stature.told();
+                    self.wear(self.heights.told(metres, avatar));
+                }
+                Some(Request::Move(to)) => {
+                    let trackers = self.trackers.iter_mut();
+                    trackers.for_each(|tracker| tracker.move_object(&to));
                 }
                 Some(Request::Tracker(kind)) => {
                     self.choice = kind;
@@ -187,6 +215,25 @@ impl TrackerLoop {
                 Some(Request::Calibrate(posture)) => self.fitting.calibrate(posture),
             }
         }
+    }
+
+    fn wear(&mut self, heights: Heights) {
+        self.heights = heights;
+        self.wearer = heights.body();
+        self.mounts = heights.mounts(&self.wearer);
+        self.reset();
+    }
+
+    /// Takes the wearer's height from the first seconds upright, if it is to be.
+    fn measure(&mut self, now: HostTime) {
+        let Some(index) = self.roles.iter().position(|&role| role == Role::Head) else {
+            return;
+        };
+        let newest = self.histories[index].newest();
+        let Some(measured) = self.stature.watch(now, newest.as_ref()) else {
+            return;
+        };
+        self.wear(self.heights.told(measured, Avatar::Keep));
     }
 
     /// Tells trackers when a stance has been taken that was not `before`.
@@ -238,6 +285,7 @@ impl TrackerLoop {
                 *slot = self.mounts.part(role, history.at(target));
             }
         }
+        rescale(&mut parts, self.heights.scale());
         parts
     }
 
@@ -311,6 +359,8 @@ impl TrackerLoop {
         if newest.is_some() {
             self.latency.observe(now, sample_at);
         }
+        let mut trackers = self.trackers.iter();
+        let chosen = trackers.find(|tracker| tracker.kind() == self.choice);
         PublishedPose {
             sequence: self.counters.ticks,
             sample_at,
@@ -323,6 +373,9 @@ impl TrackerLoop {
             joints: self.wearer.skeleton.forward(&tracked.pose),
             parts: *parts,
             worn: self.fitting.report(),
+            objects: chosen.map_or(Objects::NONE, |tracker| tracker.objects()),
+            recoveries: chosen.and_then(|tracker| tracker.recoveries()),
+            measured_m: self.stature.measured(),
         }
     }
 }

@@ -7,6 +7,7 @@
 //! * [`history`]: samples indexed by time; answers *at a time* and says how.
 //! * [`clock_map`]: device ticks to host time, in spite of jitter, drift, wraps and jumps.
 //! * [`latest`]: one value, always the newest, read without ever delaying the writer.
+//! * [`upright`]: how high a standing wearer's eyes are.
 
 pub mod clock_map;
 pub mod device;
@@ -16,6 +17,7 @@ pub mod ring;
 pub mod sample;
 mod sync;
 pub mod time;
+pub mod upright;
 
 pub use clock_map::{ClockMap, TickUnwrap};
 pub use device::{DeviceId, Role, Serial};

@@ -8,7 +8,10 @@ use posed_body::{
 
 use posed_signal::{HostTime, Lookup, Pose, Role};
 
-use crate::tracker::{Forces, Input, Tracked, Tracker, TrackerKind, Wearer};
+use crate::{
+    objects::{ObjectMove, Objects},
+    tracker::{Forces, Input, Recoveries, Tracked, Tracker, TrackerKind, Wearer},
+};
 
 /// Body mass index of the wearer whose mass is not known, kg/m²: 72 kg at 1.75 m.
 const MASS_INDEX: f64 = 23.5;
@@ -68,8 +71,16 @@ impl Tracker for Physical {
         self.inner.foresee(index, at, parts);
     }
 
-    fn recoveries(&self) -> u64 {
+    fn recoveries(&self) -> Option<Recoveries> {
         self.inner.recoveries()
+    }
+
+    fn objects(&self) -> Objects {
+        self.inner.objects()
+    }
+
+    fn move_object(&mut self, to: &ObjectMove) {
+        self.inner.move_object(to);
     }
 
     fn track(&mut self, input: &Input<'_>) -> Tracked {

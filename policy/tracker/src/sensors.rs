@@ -165,6 +165,27 @@ impl Mounts {
     }
 }
 
+/// Fits what the wearer's body parts do to a body `scale` times as tall: everything grows about the
+/// place on the floor under the head. So the avatar stands as upright as the wearer and walks where
+/// they walk. (The paper leaves positions as they are, section 5.2: a taller avatar crouches.)
+pub fn rescale(parts: &mut [Lookup<Pose>; Role::COUNT], scale: f32) {
+    if scale == 1.0 {
+        return;
+    }
+    const LEVEL: Vec3 = Vec3::new(1.0, 0.0, 1.0);
+    let head = parts[Role::Head as usize].value();
+    let (under, along) = head.map_or((Vec3::ZERO, Vec3::ZERO), |head| {
+        (head.position * LEVEL, head.velocity * LEVEL)
+    });
+    for part in parts {
+        *part = part.map(|pose| Pose {
+            position: under + (pose.position - under) * scale,
+            velocity: along + (pose.velocity - along) * scale,
+            ..pose
+        });
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use posed_body::{BodyPose, Joint};
@@ -191,6 +212,27 @@ mod tests {
                 "the skull base is behind the eyes"
             );
         }
+    }
+
+    #[test]
+    fn a_taller_body_stands_where_the_wearer_does() {
+        let pose = |x: f32, y: f32| Pose {
+            position: Vec3::new(x, y, -3.0),
+            velocity: Vec3::new(1.0, 0.5, 0.0),
+            ..Pose::unknown(HostTime(0))
+        };
+        let mut parts = [Lookup::Empty; Role::COUNT];
+        parts[Role::Head as usize] = Lookup::Exact(pose(2.0, 1.5));
+        parts[Role::LeftHand as usize] = Lookup::Exact(pose(1.6, 1.0));
+        let before = parts;
+        rescale(&mut parts, 1.0);
+        assert_eq!(parts, before);
+        rescale(&mut parts, 1.2);
+        let head = parts[Role::Head as usize].value().expect("a head");
+        let hand = parts[Role::LeftHand as usize].value().expect("a hand");
+        assert!(head.position.distance(Vec3::new(2.0, 1.8, -3.0)) < 1e-5);
+        assert!(head.velocity.distance(Vec3::new(1.0, 0.6, 0.0)) < 1e-5);
+        assert!(hand.position.distance(Vec3::new(1.52, 1.2, -3.0)) < 1e-5);
     }
 
     #[test]

@@ -7,7 +7,10 @@ use posed_body::{
 };
 use posed_signal::{HostTime, Lookup, Orientation, Pose, Role};
 
-use crate::worn::Stance;
+use crate::{
+    objects::{ObjectMove, Objects},
+    worn::Stance,
+};
 
 /// Which tracker made a pose.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
@@ -178,6 +181,25 @@ pub struct Tracked {
     pub forces: Option<Forces>,
 }
 
+/// How often a simulated body had to be put back on its feet, and why; counts only grow.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Recoveries {
+    /// It lay on the ground.
+    pub falls: u64,
+    /// It had lost the headset.
+    pub drifts: u64,
+    /// Its numbers were none, or the policy had no answer.
+    pub faults: u64,
+}
+
+impl Recoveries {
+    /// All of them.
+    #[must_use]
+    pub fn total(&self) -> u64 {
+        self.falls + self.drifts + self.faults
+    }
+}
+
 /// A tracker: a state machine over ticks. It cannot fail; it degrades and says so. `track`
 /// neither allocates, waits nor logs.
 pub trait Tracker: Send {
@@ -205,10 +227,19 @@ pub trait Tracker: Send {
     /// before each tick.
     fn foresee(&mut self, _index: usize, _at: HostTime, _parts: &[Lookup<Pose>; Role::COUNT]) {}
 
-    /// How often a simulated body had to be put back on its feet since the start.
-    fn recoveries(&self) -> u64 {
-        0
+    /// How often a simulated body had to be put back on its feet since the start; `None` where
+    /// nothing is simulated.
+    fn recoveries(&self) -> Option<Recoveries> {
+        None
     }
+
+    /// Where the things in its scene were at the last tick; none where nothing is simulated.
+    fn objects(&self) -> Objects {
+        Objects::NONE
+    }
+
+    /// Puts a thing in its scene somewhere else. A reset puts all of them back.
+    fn move_object(&mut self, _to: &ObjectMove) {}
 
     /// The body pose at `input.target`. Target times never decrease between resets.
     fn track(&mut self, input: &Input<'_>) -> Tracked;

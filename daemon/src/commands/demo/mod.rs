@@ -13,13 +13,14 @@ use std::{
     thread,
 };
 
+use posed_body::scene::Scene;
 use posed_device::{
     capture,
     lighthouse::base_station::parse_libsurvive,
     transport::{Merge, Recording, Replay},
 };
 use posed_signal::{Clock as _, DeviceId, HostTime, Sample, ring::Producer};
-use posed_tracker::{TrackerKind, Wearer};
+use posed_tracker::TrackerKind;
 
 use super::{
     CommandError, Tally,
@@ -31,7 +32,9 @@ use crate::{
     cli::DemoArgs,
     clock::Monotonic,
     config::{self, Grpc, Loopback, UnixSocket},
+    control::Known,
     grpc::PoseSink,
+    heights::Heights,
     page::{self, Page, Station},
     pipeline::{
         playback::Playback,
@@ -77,7 +80,7 @@ pub fn replay() -> Result<Replay, CommandError> {
 /// The embedded base stations cannot be read.
 pub fn options() -> Result<Options, CommandError> {
     let mut options = Options {
-        height: HEIGHT,
+        heights: Heights::of(HEIGHT),
         ..Options::default()
     };
     options.rig.devices.lighthouse.base_stations = parse_libsurvive(BASE_STATIONS)
@@ -92,7 +95,7 @@ pub fn options() -> Result<Options, CommandError> {
 pub fn run(args: &DemoArgs) -> Result<(), CommandError> {
     let folder = std::env::temp_dir().join(format!("posed-demo-{}", std::process::id()));
     let options = Options {
-        trackers: settings::trackers(TRACKER),
+        trackers: settings::trackers(TRACKER, &Scene::default()),
         tracker: TRACKER,
         ..options()?
     };
@@ -171,11 +174,14 @@ fn serve(
         grpc: &grpc,
         runtime_dir: None,
         recordings: config::files::recordings_dir(),
-        wearer: Wearer::of_height(HEIGHT),
         rate_hz: RATE_HZ,
         requests,
-        tracker: TRACKER,
-        trackers,
+        known: Known {
+            heights: Heights::of(HEIGHT),
+            tracker: TRACKER,
+            trackers,
+            objects: 0,
+        },
         clock: Arc::new(Monotonic),
     };
     Ok(Serving::start(setup)?)

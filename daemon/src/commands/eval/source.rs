@@ -1,6 +1,6 @@
 //! The trackers that are evaluated.
 
-use posed_body::motion::Clip;
+use posed_body::{motion::Clip, scene::Scene};
 use posed_tracker::{
     Ik, Physical, Tracker, TrackerKind, eval::Options, hmd_nemo, inference::InferenceError, pip,
     questsim,
@@ -87,7 +87,9 @@ impl Source {
             let tracker = models.pip(model, self.pip).map_err(problem)?;
             return Ok(Box::new(tracker));
         }
-        let found = models.tracker(self.kind).map_err(problem)?;
+        let found = models
+            .tracker(self.kind, &Scene::default())
+            .map_err(problem)?;
         found.ok_or_else(|| {
             let name = self.kind.name();
             CommandError::Input(format!("this build has no model for the tracker {name}"))

@@ -21,6 +21,7 @@ use posed_tracker::{
 };
 
 use crate::{
+    heights::Heights,
     pipeline::{
         replay::{Watcher, replay},
         source::Source,
@@ -109,6 +110,7 @@ fn result(like: &ClipResult, clip: &Clip, [predicted, truth]: &[Track; 2]) -> Cl
         sure: like.sure,
         own: like.own,
         recoveries: like.recoveries,
+        held_s: like.held_s,
         dump: None,
     }
 }
@@ -146,6 +148,8 @@ fn from_bytes(
     let setup = Setup {
         trackers: vec![tracker],
         choice,
+        heights: Heights::of(wearer.height),
+        measure_height: false,
         wearer,
         horizon_ns: 0,
     };

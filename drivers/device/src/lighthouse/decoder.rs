@@ -1,6 +1,7 @@
 //! The decoders behind [`super::decoder()`]: packets in, samples in host time out.
 
-use posed_signal::{ClockMap, HostTime, Imu, Pose, PoseHow, Role, Sample};
+use glam::DVec3;
+use posed_signal::{ClockMap, HostTime, Imu, Pose, PoseHow, Role, Sample, upright::Upright};
 
 use super::{
     Settings, Variant,
@@ -10,7 +11,7 @@ use super::{
     motion::ImuSample,
     output::Output,
     reader::{Event, Reader},
-    room::{Handle, Room, Upright},
+    room::{Handle, Room},
     solve::Sighting,
     startup::Startup,
     track::Track,
@@ -285,9 +286,11 @@ impl Unit {
             .track
             .head_now()
             .filter(|_| head && room.wants_upright())
-            && let Some(eyes) = self.upright.watch(time, &frame, rate)
         {
-            room.upright(eyes);
+            let lean = (frame.rotation * DVec3::Y).angle_between(DVec3::Y);
+            if let Some(eyes) = self.upright.watch(time, frame.position.y, lean, rate) {
+                room.upright(eyes);
+            }
         }
     }
 }

@@ -62,6 +62,8 @@ pub struct Surface {
 pub(super) const FIELD_CELLS: usize = 96;
 /// Half the edge of the height field, metres.
 pub(super) const FIELD_HALF: f64 = 6.0;
+/// Half a step of somebody who walks, metres.
+const STEP: f64 = 0.3;
 /// Within this distance of the middle the height field is flat, metres.
 const FLAT_RADIUS: f64 = 0.5;
 
@@ -149,6 +151,27 @@ impl Ground {
                 }
             }
         }
+    }
+
+    /// Mean height within a step of (x, z), metres: what somebody stands on, without the jumps of
+    /// risers and furrows.
+    #[must_use]
+    pub fn around(&self, x: f64, z: f64) -> f64 {
+        if let Self::Flat | Self::Slope { .. } = self {
+            return self.at(x, z).height;
+        }
+        let near = |dx: f64, dz: f64| self.at(x + dx * STEP, z + dz * STEP).height;
+        let diagonal = std::f64::consts::FRAC_1_SQRT_2;
+        let ring: f64 = [
+            (1.0, 0.0),
+            (0.0, 1.0),
+            (diagonal, diagonal),
+            (diagonal, -diagonal),
+        ]
+        .iter()
+        .map(|&(dx, dz)| near(dx, dz) + near(-dx, -dz))
+        .sum();
+        (near(0.0, 0.0) + ring) / 9.0
     }
 
     /// Normal of a slope; +Y for any other ground.
@@ -294,5 +317,28 @@ mod tests {
             highest = highest.max(a.height);
         }
         assert!(highest > 0.03 && highest <= 0.1, "{highest}");
+    }
+
+    #[test]
+    fn what_one_stands_on_has_no_jumps() {
+        let steps = Ground::Steps {
+            start: 1.0,
+            rise: 0.15,
+            run: 0.3,
+            count: 3,
+        };
+        assert_eq!(steps.around(0.0, 0.0), 0.0);
+        assert!((steps.around(0.0, -5.0) - 0.45).abs() < 1e-12);
+        let mut last = 0.0;
+        for step in 0..300 {
+            let height = steps.around(0.0, -0.01 * f64::from(step));
+            assert!((0.0..=0.1).contains(&(height - last)), "{height}");
+            last = height;
+        }
+        let slope = Ground::Slope {
+            degrees: 5.0,
+            heading: 0.0,
+        };
+        assert_eq!(slope.around(0.3, -1.0), slope.at(0.3, -1.0).height);
     }
 }

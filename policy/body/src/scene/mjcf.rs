@@ -8,6 +8,9 @@ use crate::character::{put, triple};
 
 /// Thickness of what lies under the surface of steps and height field, metres.
 const UNDERGROUND: f64 = 1.0;
+/// Height of the plane that goes on beyond the height field, metres: so little lower that nothing
+/// touches both.
+const AROUND: f64 = -0.005;
 /// Half the width of a flight of steps, metres.
 const STEPS_HALF_WIDTH: f64 = 20.0;
 
@@ -54,7 +57,8 @@ pub fn write_world(scene: &Scene, xml: &mut String) {
             xml,
             format_args!(
                 "<geom name=\"ground\" class=\"scene\" type=\"hfield\" hfield=\"ground\" \
-                 quat=\"{}\"/>\n",
+                 quat=\"{0}\"/>\n<geom name=\"around\" class=\"scene\" type=\"plane\" \
+                 size=\"0 0 1\" pos=\"0 {AROUND} 0\" quat=\"{0}\"/>\n",
                 quat(DQuat::from_rotation_arc(DVec3::Z, DVec3::Y))
             ),
         ),
@@ -109,22 +113,23 @@ fn write_box(xml: &mut String, name: &str, centre: DVec3, half: DVec3) {
 }
 
 fn write_object(object: &Object, index: usize, xml: &mut String) {
-    let open = |xml: &mut String, position: &[f64; 3], yaw: f64| {
-        let turn = quat(DQuat::from_rotation_y(yaw.to_radians()));
-        let position = triple(DVec3::from_array(*position));
-        put(
-            xml,
-            format_args!("<body name=\"object_{index}\" pos=\"{position}\" quat=\"{turn}\">\n"),
-        );
+    let place = object.place();
+    // What does not move by itself can still be put elsewhere.
+    let kind = if object.is_loose() {
+        ""
+    } else {
+        " mocap=\"true\""
     };
+    put(
+        xml,
+        format_args!(
+            "<body name=\"object_{index}\"{kind} pos=\"{}\" quat=\"{}\">\n",
+            triple(place.position),
+            quat(place.rotation)
+        ),
+    );
     match object {
-        Object::Box {
-            size,
-            position,
-            yaw,
-            mass,
-        } => {
-            open(xml, position, *yaw);
+        Object::Box { size, mass, .. } => {
             let half = triple(DVec3::from_array(*size) / 2.0);
             match mass {
                 Some(mass) => put(
@@ -143,28 +148,14 @@ fn write_object(object: &Object, index: usize, xml: &mut String) {
                 ),
             }
         }
-        Object::Ball {
-            radius,
-            position,
-            mass,
-        } => {
-            open(xml, position, 0.0);
-            put(
-                xml,
-                format_args!(
-                    "<freejoint/><geom name=\"object_{index}\" class=\"movable\" \
-                     type=\"sphere\" size=\"{radius:.8}\" mass=\"{mass:.8}\"/>\n"
-                ),
-            );
-        }
-        Object::Chair {
-            position,
-            yaw,
-            seat,
-        } => {
-            open(xml, position, *yaw);
-            write_chair(xml, index, *seat);
-        }
+        Object::Ball { radius, mass, .. } => put(
+            xml,
+            format_args!(
+                "<freejoint/><geom name=\"object_{index}\" class=\"movable\" \
+                 type=\"sphere\" size=\"{radius:.8}\" mass=\"{mass:.8}\"/>\n"
+            ),
+        ),
+        Object::Chair { seat, .. } => write_chair(xml, index, *seat),
     }
     xml.push_str("</body>\n");
 }

@@ -20,6 +20,7 @@
 mod ground;
 mod mjcf;
 
+use glam::{DQuat, DVec3};
 use serde::{Deserialize, Serialize};
 
 pub use ground::{Ground, Surface};
@@ -101,16 +102,16 @@ fn default_seat() -> f64 {
 
 /// What is wrong with a scene.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("the scene's {part} {problem}; correct the scene file")]
+#[error("the scene's {part} {problem}")]
 pub struct SceneError {
     part: String,
     problem: String,
 }
 
 /// Most objects that a scene may have.
-pub const OBJECTS_MAX: usize = 64;
+pub const OBJECTS_MAX: usize = 16;
 /// Greatest coordinate of anything in a scene, metres.
-const EXTENT_MAX: f64 = 100.0;
+pub const EXTENT_MAX: f64 = 100.0;
 
 fn check(part: &str, ok: bool, problem: &str) -> Result<(), SceneError> {
     if ok {
@@ -139,7 +140,7 @@ impl Scene {
         check(
             "list of objects",
             count <= OBJECTS_MAX,
-            "is longer than 64 objects",
+            "is longer than 16 objects",
         )?;
         for (index, object) in self.objects.iter().enumerate() {
             object.validate(&format!("object {index}"))?;
@@ -148,7 +149,39 @@ impl Scene {
     }
 }
 
+/// Where an object is: its centre, of a chair the middle of the seat's footprint on the ground.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Place {
+    /// Metres, in the world.
+    pub position: DVec3,
+    /// Unit, from the object's frame to the world.
+    pub rotation: DQuat,
+}
+
 impl Object {
+    /// Whether the body and other objects can push it: it has a mass.
+    #[must_use]
+    pub fn is_loose(&self) -> bool {
+        match self {
+            Self::Box { mass, .. } => mass.is_some(),
+            Self::Ball { .. } => true,
+            Self::Chair { .. } => false,
+        }
+    }
+
+    /// Where the scene puts it.
+    #[must_use]
+    pub fn place(&self) -> Place {
+        let (position, yaw) = match self {
+            Self::Box { position, yaw, .. } | Self::Chair { position, yaw, .. } => (position, *yaw),
+            Self::Ball { position, .. } => (position, 0.0),
+        };
+        Place {
+            position: DVec3::from_array(*position),
+            rotation: DQuat::from_rotation_y(yaw.to_radians()),
+        }
+    }
+
     fn validate(&self, part: &str) -> Result<(), SceneError> {
         let length = |value: f64| (0.01..=20.0).contains(&value);
         let mass = |value: f64| (0.01..=1000.0).contains(&value);

@@ -4,6 +4,7 @@
 //! cloned. Stepping allocates nothing. A state that stops being finite is put back to the last
 //! sound one and says so.
 
+mod objects;
 mod state;
 
 use std::sync::Arc;
@@ -43,6 +44,19 @@ struct Shared {
     foot_of_geom: Box<[Option<u8>]>,
     /// For each geom: whether it belongs to the character.
     of_character: Box<[bool]>,
+    /// For each geom: the object of the scene that it belongs to.
+    object_of_geom: Box<[Option<u8>]>,
+    /// For each object of the scene: where MuJoCo keeps its place.
+    slots: Box<[Slot]>,
+}
+
+/// Where MuJoCo keeps an object's place.
+#[derive(Debug, Clone, Copy)]
+enum Slot {
+    /// The `n`th loose object: coordinates after the character's.
+    Loose(usize),
+    /// The `n`th of those that stay where they are put.
+    Fixed(usize),
 }
 
 /// An immutable simulation model.
@@ -129,6 +143,20 @@ impl Model {
                 .into_iter()
                 .any(|link| name(geom).starts_with(link.name()))
         };
+        let object = |geom| {
+            let number = name(geom).strip_prefix("object_")?;
+            number.split('_').next()?.parse().ok()
+        };
+        let (mut loose, mut fixed) = (0.., 0..);
+        let slots = scene.objects.iter().filter_map(|object| {
+            Some(if object.is_loose() {
+                Slot::Loose(loose.next()?)
+            } else {
+                Slot::Fixed(fixed.next()?)
+            })
+        });
+        let slots = slots.collect();
+        let object_of_geom = (0..names).map(object).collect();
         let foot_of_geom = (0..names).map(foot).collect();
         let of_character = (0..names).map(of_character).collect();
         let shared = Arc::new(Shared {
@@ -136,6 +164,8 @@ impl Model {
             scene,
             foot_of_geom,
             of_character,
+            object_of_geom,
+            slots,
         });
         Ok(Self {
             mujoco: Arc::new(mujoco),

@@ -9,9 +9,9 @@ use super::{Model, Shared};
 use crate::character::{CharacterPose, HINGES};
 
 /// Coordinates of the free pelvis: position and quaternion.
-const ROOT_COORDINATES: usize = 7;
+pub(super) const ROOT_COORDINATES: usize = 7;
 /// Velocities of the free pelvis: linear in the world, angular in the pelvis's frame.
-const ROOT_VELOCITIES: usize = 6;
+pub(super) const ROOT_VELOCITIES: usize = 6;
 /// A coordinate beyond this is as good as not finite, metres or radians.
 const POSITION_MAX: f64 = 1e4;
 /// The same for velocities, per second: caught here, MuJoCo never gets to warn into a log file.
@@ -41,10 +41,14 @@ pub struct FootContact {
 #[derive(Clone)]
 pub struct State {
     pub(super) data: MjData<Arc<MjModel>>,
-    shared: Arc<Shared>,
+    pub(super) shared: Arc<Shared>,
     /// The last sound positions of everything.
-    sound: Box<[f64]>,
+    pub(super) sound: Box<[f64]>,
+    /// Where the objects that do not move by themselves were put.
+    pub(super) fixed: Box<[([f64; 3], [f64; 4])]>,
     quarantines: u64,
+    /// Objects that the character touched in the last call of [`State::step`], a bit each.
+    pub(super) touched: u32,
 }
 
 impl std::fmt::Debug for State {
@@ -62,11 +66,15 @@ impl State {
         let mut data = MjData::new(Arc::clone(&model.mujoco));
         data.forward();
         let sound = data.qpos().into();
+        let fixed = data.mocap_pos().iter().zip(data.mocap_quat());
+        let fixed = fixed.map(|(place, turn)| (*place, *turn)).collect();
         Self {
             data,
             shared: Arc::clone(&model.shared),
             sound,
+            fixed,
             quarantines: 0,
+            touched: 0,
         }
     }
 
@@ -129,8 +137,10 @@ impl State {
         for (control, &torque) in self.data.ctrl_mut().iter_mut().zip(torques) {
             *control = if torque.is_finite() { torque } else { 0.0 };
         }
+        self.touched = 0;
         for _ in 0..steps {
             self.data.step();
+            self.note_touches();
             if !self.is_sound() {
                 self.restore();
                 return Step::Quarantined;
@@ -149,6 +159,7 @@ impl State {
         self.quarantines += 1;
         self.data.reset();
         self.data.qpos_mut().copy_from_slice(&self.sound);
+        self.put_fixed();
         self.data.forward();
     }
 

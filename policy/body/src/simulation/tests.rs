@@ -2,7 +2,7 @@ use glam::{DQuat, DVec3};
 
 use super::*;
 use crate::character::{CharacterPose, HINGES, hinges_of};
-use crate::scene::{Ground, Object};
+use crate::scene::{Ground, Object, Place};
 
 fn character(stature: f64) -> Character {
     Character::of_height(stature).expect("a stature in range")
@@ -211,4 +211,87 @@ fn a_clone_goes_its_own_way_and_the_same_way() {
     assert_ne!(one.pose(), two.pose());
     two.step(&[2.0; HINGES], 40);
     assert_eq!(one.pose(), two.pose());
+}
+
+#[test]
+fn objects_are_put_touched_and_fetched_back() {
+    let position = [2.0, 0.25, 0.0];
+    let scene = Scene {
+        objects: vec![
+            Object::Ball {
+                radius: 0.25,
+                position,
+                mass: 2.0,
+            },
+            Object::Chair {
+                position: [0.0, 0.0, 3.0],
+                yaw: 90.0,
+                seat: 0.45,
+            },
+        ],
+        ..Scene::default()
+    };
+    let model = Model::new(character(1.75), scene.clone()).expect("a sound model");
+    let mut state = model.state();
+    assert_eq!(state.objects(), 2);
+    let apart =
+        |a: Place, b: Place| a.position.distance(b.position) + a.rotation.angle_between(b.rotation);
+    for (index, object) in scene.objects.iter().enumerate() {
+        let here = state.object(index).expect("an object");
+        assert!(apart(here, object.place()) < 1e-6, "{here:?}");
+    }
+    assert_eq!((state.object(2), state.touched()), (None, 0));
+
+    // Thrown at the character from the side, the ball hits it and comes back.
+    let to = Place {
+        position: DVec3::new(1.5, 1.0, 0.0),
+        rotation: DQuat::IDENTITY,
+    };
+    state.put_object(0, &to, [DVec3::NEG_X * 6.0, DVec3::Y]);
+    let mut touched = 0;
+    for _ in 0..72 {
+        assert_eq!(state.step(&[0.0; HINGES], 1), Step::Sound);
+        touched |= state.touched();
+    }
+    assert_eq!(touched, 1, "the ball, not the chair");
+
+    // A chair put behind the falling body carries some of it, also after the world was unsound.
+    let seat = Place {
+        position: DVec3::new(0.0, 0.0, -0.2),
+        rotation: DQuat::from_rotation_y(0.5),
+    };
+    state.put_object(1, &seat, [DVec3::ZERO; 2]);
+    state.data.qpos_mut()[2] = 1e5;
+    assert_eq!(state.step(&[0.0; HINGES], 1), Step::Quarantined);
+    assert!(apart(state.object(1).expect("a chair"), seat) < 1e-6);
+    let rest = model.state().pose();
+    state.set_pose(&rest);
+    for _ in 0..144 {
+        state.step(&[0.0; HINGES], 1);
+        touched |= state.touched();
+    }
+    assert_eq!(touched, 3);
+
+    // Nonsense changes nothing; what has left the scene comes back.
+    let before = state.object(0).expect("a ball");
+    let nowhere = |x: f64| Place {
+        position: DVec3::X * x,
+        rotation: DQuat::IDENTITY,
+    };
+    for (index, to, speed) in [
+        (0, nowhere(f64::NAN), 0.0),
+        (0, nowhere(101.0), 0.0),
+        (0, nowhere(0.0), f64::INFINITY),
+        (7, nowhere(0.0), 0.0),
+    ] {
+        state.put_object(index, &to, [DVec3::X * speed, DVec3::ZERO]);
+    }
+    assert_eq!(state.object(0), Some(before));
+    state.put_object(0, &nowhere(99.9), [DVec3::X * 100.0, DVec3::ZERO]);
+    state.step(&[0.0; HINGES], 8);
+    assert!(state.object(0).expect("a ball").position.x > 100.0);
+    state.fetch_objects();
+    assert!(apart(state.object(0).expect("a ball"), scene.objects[0].place()) < 1e-6);
+    state.put_objects_back();
+    assert!(apart(state.object(1).expect("a chair"), scene.objects[1].place()) < 1e-6);
 }

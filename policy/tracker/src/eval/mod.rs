@@ -141,6 +141,8 @@ pub struct ClipResult {
     pub own: f64,
     /// How often a simulated body had to be put back on its feet.
     pub recoveries: u64,
+    /// Seconds until it first had to be; the whole clip where it never had.
+    pub held_s: f64,
     /// Both motions, if they were asked for.
     pub dump: Option<Dump>,
 }
@@ -156,7 +158,7 @@ pub fn evaluate(clip: &Clip, tracker: &mut dyn Tracker, options: &Options) -> Cl
     let frames = (trajectory.duration() * options.rate_hz + 1e-6) as usize + 1;
     let mut predicted = Vec::with_capacity(frames);
     let mut contacts = Vec::with_capacity(frames);
-    let (mut sure, mut own) = (0usize, 0usize);
+    let (mut sure, mut own, mut held_s) = (0usize, 0usize, 0.0);
     for frame in 0..frames {
         stage.push_until(frame + options.lookahead as usize);
         let target = stage.time(frame);
@@ -171,6 +173,9 @@ pub fn evaluate(clip: &Clip, tracker: &mut dyn Tracker, options: &Options) -> Cl
             wearer: &wearer,
         };
         let tracked = tracker.track(&input);
+        if recoveries(tracker) == 0 {
+            held_s = (frame + 1) as f64 / options.rate_hz;
+        }
         sure += usize::from(tracked.quality >= Quality::Partial);
         own += usize::from(tracked.kind == tracker.kind());
         predicted.push(tracked.pose);
@@ -196,7 +201,8 @@ pub fn evaluate(clip: &Clip, tracker: &mut dyn Tracker, options: &Options) -> Cl
         hands_seen,
         sure: sure as f64 / frames as f64,
         own: own as f64 / frames as f64,
-        recoveries: tracker.recoveries(),
+        recoveries: recoveries(tracker),
+        held_s,
         dump: options.dump.then(|| Dump {
             predicted: predicted_track,
             predicted_poses: predicted.to_vec(),
@@ -205,6 +211,10 @@ pub fn evaluate(clip: &Clip, tracker: &mut dyn Tracker, options: &Options) -> Cl
             contacts: contacts.split_off(first),
         }),
     }
+}
+
+fn recoveries(tracker: &dyn Tracker) -> u64 {
+    tracker.recoveries().map_or(0, |counts| counts.total())
 }
 
 /// The devices of one clip and what the tracker side has heard from them.

@@ -11,14 +11,19 @@ mod policy;
 mod timeline;
 mod world;
 
-use posed_body::{BodyPose, Joint, scene::Scene};
+use glam::{DVec3, Vec3};
+use posed_body::{
+    BodyPose, Joint,
+    scene::{OBJECTS_MAX, Scene},
+};
 use posed_signal::{HostTime, Lookup, Pose, Role};
 
 use crate::{
     fade::{Fade, Place, PoseFade},
     inference::{InferenceError, Runtime},
+    objects::{ObjectMove, Objects},
     presence::Sensed,
-    tracker::{Forces, Input, Quality, Tracked, Tracker, TrackerKind},
+    tracker::{Forces, Input, Quality, Recoveries, Tracked, Tracker, TrackerKind},
 };
 use observation::{FUTURE, PARTS, Part};
 use policy::Policy;
@@ -64,19 +69,6 @@ impl Default for Options {
     }
 }
 
-/// Counters that only grow.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct Counts {
-    /// Policy steps.
-    pub steps: u64,
-    /// Respawns of a character that lay on the ground.
-    pub falls: u64,
-    /// Respawns of one that had lost the headset.
-    pub drifts: u64,
-    /// Respawns after numbers that were none, or without an answer of the policy.
-    pub faults: u64,
-}
-
 /// The tracker.
 pub struct QuestSim {
     policy: Policy,
@@ -93,7 +85,11 @@ pub struct QuestSim {
     /// The pelvis's place fades apart: a fallen body's head is not where the headset is.
     root_fade: Fade,
     fade_left: f32,
-    counts: Counts,
+    steps: u64,
+    recoveries: Recoveries,
+    objects: Objects,
+    /// What was moved before there was a world to move it in.
+    moves: [Option<ObjectMove>; OBJECTS_MAX],
 }
 
 impl QuestSim {
@@ -121,14 +117,17 @@ impl QuestSim {
             fade: PoseFade::DONE,
             root_fade: Fade::DONE,
             fade_left: 0.0,
-            counts: Counts::default(),
+            steps: 0,
+            recoveries: Recoveries::default(),
+            objects: Objects::NONE,
+            moves: [None; OBJECTS_MAX],
         })
     }
 
-    /// How often what happened.
+    /// Policy steps since the start.
     #[must_use]
-    pub fn counts(&self) -> Counts {
-        self.counts
+    pub fn steps(&self) -> u64 {
+        self.steps
     }
 
     /// Torques and contact forces of the last policy step; `None` while the stand-in shows.
@@ -150,6 +149,10 @@ impl QuestSim {
         {
             self.world = World::new(skeleton, &self.options.scene).ok();
             self.at = None;
+            if let Some(world) = &mut self.world {
+                let moves = std::mem::take(&mut self.moves);
+                moves.iter().flatten().for_each(|to| world.move_object(to));
+            }
         }
     }
 
@@ -165,28 +168,28 @@ impl QuestSim {
     }
 
     /// Runs the policy until its newest pose is not older than `now`.
-    fn advance(&mut self, now: HostTime, stand_in: &BodyPose) {
+    fn advance(&mut self, now: HostTime, pelvis: f32) {
         let (Some(world), Some(mut at)) = (&mut self.world, self.at) else {
             return;
         };
         while at < now {
             let future = self.timeline.future(at, self.options.lookahead);
             let Some((user, hands)) = future else { return };
-            self.counts.steps += 1;
+            self.steps += 1;
             let sound = world.step(&mut self.policy, &user, hands);
             at = at.plus_ns(STEP_NS);
             self.at = Some(at);
             let head = self.timeline.at(at).map(|moment| moment.user[0]);
             let lost = if sound {
-                lost(world, head.as_ref(), stand_in)
+                lost(world, head.as_ref(), pelvis)
             } else {
                 Some(Lost::Fault)
             };
             if let Some(why) = lost {
                 match why {
-                    Lost::Fallen => self.counts.falls += 1,
-                    Lost::Drifted => self.counts.drifts += 1,
-                    Lost::Fault => self.counts.faults += 1,
+                    Lost::Fallen => self.recoveries.falls += 1,
+                    Lost::Drifted => self.recoveries.drifts += 1,
+                    Lost::Fault => self.recoveries.faults += 1,
                 }
                 self.at = None;
                 return;
@@ -195,7 +198,8 @@ impl QuestSim {
     }
 
     /// The character's pose at `now`, put back on its feet if it must be.
-    fn follow(&mut self, now: HostTime, stand_in: &BodyPose) -> Option<BodyPose> {
+    /// `pelvis` is the height of the stand-in's above its floor, metres.
+    fn follow(&mut self, now: HostTime, stand_in: &BodyPose, pelvis: f32) -> Option<BodyPose> {
         let stale = self
             .at
             .is_some_and(|at| !(-2 * STEP_NS..GAP_NS).contains(&now.since_ns(at)));
@@ -203,7 +207,7 @@ impl QuestSim {
             self.at = None;
         }
         let started = self.at.is_some();
-        self.advance(now, stand_in);
+        self.advance(now, pelvis);
         if self.at.is_none() {
             self.spawn(now, stand_in);
             if started {
@@ -213,6 +217,7 @@ impl QuestSim {
         let (world, at) = (self.world.as_ref()?, self.at?);
         let share = 1.0 - at.since_ns(now) as f64 / STEP_NS as f64;
         let pose = world.between(share.clamp(0.0, 1.0));
+        self.objects = world.objects_between(share.clamp(0.0, 1.0));
         pose.is_sound().then_some(pose)
     }
 
@@ -240,7 +245,7 @@ impl QuestSim {
     }
 }
 
-fn pelvis(pose: &BodyPose) -> Place {
+fn root(pose: &BodyPose) -> Place {
     Place {
         position: pose.root,
         rotation: pose.rotations[Joint::Pelvis as usize],
@@ -254,14 +259,16 @@ enum Lost {
     Fault,
 }
 
-fn lost(world: &World, head: Option<&Part>, stand_in: &BodyPose) -> Option<Lost> {
-    if world.to.root.y < FALLEN * f64::from(stand_in.root.y) {
+/// `pelvis` is the height of the stand-in's above its floor, metres.
+fn lost(world: &World, head: Option<&Part>, pelvis: f32) -> Option<Lost> {
+    let floor = world.floor(world.to.root);
+    if world.to.root.y - floor < FALLEN * f64::from(pelvis) {
         return Some(Lost::Fallen);
     }
     let joints = world
         .character()
         .joints(&world.character().forward(&world.to));
-    let own = joints.position(Joint::Head).as_dvec3();
+    let own = joints.position(Joint::Head).as_dvec3() - DVec3::Y * floor;
     head.is_some_and(|head| head.position.distance(own) > DRIFT)
         .then_some(Lost::Drifted)
 }
@@ -276,6 +283,11 @@ impl Tracker for QuestSim {
         self.timeline = Timeline::EMPTY;
         (self.at, self.kinematic, self.shown) = (None, None, None);
         (self.fade, self.root_fade, self.fade_left) = (PoseFade::DONE, Fade::DONE, 0.0);
+        self.moves = [None; OBJECTS_MAX];
+        if let Some(world) = &mut self.world {
+            world.put_objects_back();
+            self.objects = world.objects_between(1.0);
+        }
     }
 
     fn foresight(&self) -> &'static [i64] {
@@ -287,13 +299,33 @@ impl Tracker for QuestSim {
         self.timeline.foresee(index, moment);
     }
 
-    fn recoveries(&self) -> u64 {
-        self.counts.falls + self.counts.drifts + self.counts.faults
+    fn recoveries(&self) -> Option<Recoveries> {
+        Some(self.recoveries)
+    }
+
+    fn objects(&self) -> Objects {
+        self.objects
+    }
+
+    fn move_object(&mut self, to: &ObjectMove) {
+        match &mut self.world {
+            Some(world) => world.move_object(to),
+            None => {
+                if let Some(slot) = self.moves.get_mut(to.index) {
+                    *slot = Some(*to);
+                }
+            }
+        }
     }
 
     fn track(&mut self, input: &Input<'_>) -> Tracked {
         let now = input.target;
-        let kinematic = self.stand_in.track(input);
+        let mut kinematic = self.stand_in.track(input);
+        // The wearer walks on a level floor, the character on the scene's ground.
+        let pelvis = kinematic.pose.root.y;
+        let Vec3 { x, z, .. } = kinematic.pose.root;
+        let ground = &self.options.scene.ground;
+        kinematic.pose.root.y += ground.around(f64::from(x), f64::from(z)) as f32;
         let dt = self
             .kinematic
             .map_or(0.0, |(last, _)| now.since_secs(last) as f32)
@@ -306,7 +338,7 @@ impl Tracker for QuestSim {
         if kinematic.quality > Quality::Held && moment.is_some() {
             self.prepare(input);
             let fading = self.fade_left;
-            own = self.follow(now, &kinematic.pose);
+            own = self.follow(now, &kinematic.pose, pelvis);
             if self.fade_left > fading {
                 // The character has just been put back.
                 self.start_fade(own.as_ref());
@@ -319,7 +351,7 @@ impl Tracker for QuestSim {
         let source = own.unwrap_or(kinematic.pose);
         let mut pose = self.fade.apply(&source, &input.wearer.skeleton);
         if !self.root_fade.is_done() {
-            pose.root = self.root_fade.apply(&pelvis(&source)).position;
+            pose.root = self.root_fade.apply(&root(&source)).position;
         }
         self.fade.advance(dt);
         self.root_fade.advance(dt);
@@ -343,7 +375,7 @@ impl QuestSim {
     fn start_fade(&mut self, source: Option<&BodyPose>) {
         if let (Some(shown), Some(source)) = (&self.shown, source) {
             self.fade = PoseFade::start(shown, source, RESPAWN_S);
-            self.root_fade = Fade::start(&pelvis(shown), &pelvis(source), RESPAWN_S);
+            self.root_fade = Fade::start(&root(shown), &root(source), RESPAWN_S);
         }
     }
 }

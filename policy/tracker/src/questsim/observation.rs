@@ -60,6 +60,8 @@ pub struct Seen<'a> {
     pub velocity: &'a [f64; VELOCITIES],
     /// Forces on the left and the right foot in the world, N.
     pub feet: [DVec3; 2],
+    /// Height of the ground under the character, metres: the user stands on a level one.
+    pub floor: f64,
     /// The six frames to come.
     pub user: &'a [User; FUTURE],
     /// Whether the controllers are there; zeros stand for them otherwise.
@@ -75,7 +77,8 @@ impl Seen<'_> {
         let frames = self.character.forward(self.pose);
         let twists = self.twists(&frames.positions, &frames.rotations, &frames.axes);
         let pelvis = DMat3::from_quat(frames.rotations[Link::Pelvis as usize]);
-        let origin = frames.positions[Link::Pelvis as usize] * DVec3::new(1.0, 0.0, 1.0);
+        let level = frames.positions[Link::Pelvis as usize] * DVec3::new(1.0, 0.0, 1.0);
+        let origin = level + DVec3::Y * self.floor;
         let into = DMat3::from_rotation_y(-heading(&pelvis));
         let mut next = Writer { out, at: 0 };
         next.all(self.pose.angles);
@@ -100,7 +103,7 @@ impl Seen<'_> {
                     next.all([0.0; 9]);
                     continue;
                 }
-                next.vector(into * (part.position - origin));
+                next.vector(into * (part.position - level));
                 next.six(&(into * DMat3::from_quat(part.rotation)));
             }
         }

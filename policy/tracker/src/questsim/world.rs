@@ -6,7 +6,7 @@ use posed_body::{
     character::{Character, CharacterPose, HINGES, Link, hinges_of},
     optimiser::FootForce,
     retarget::Retarget,
-    scene::Scene,
+    scene::{Ground, Place, Scene},
     simulation::{Model, SimulationError, State, Step},
 };
 
@@ -14,7 +14,10 @@ use super::{
     observation::{FUTURE, SUBSTEPS, Seen, User, VELOCITIES},
     policy::Policy,
 };
-use crate::tracker::Forces;
+use crate::{
+    objects::{ObjectMove, ObjectPose, Objects},
+    tracker::Forces,
+};
 
 /// A velocity estimated at a spawn is cut off here: m/s and rad/s.
 const SPAWN_SPEED_MAX: f64 = 8.0;
@@ -25,6 +28,9 @@ pub(super) struct World {
     character: Character,
     state: State,
     retarget: Retarget,
+    ground: Ground,
+    /// The things in the scene at the last two policy steps.
+    objects: [Objects; 2],
     /// The poses at the last two policy steps.
     pub(super) from: CharacterPose,
     pub(super) to: CharacterPose,
@@ -38,8 +44,11 @@ impl World {
         let character = Character::new(skeleton, None)?;
         let state = Model::new(character.clone(), scene.clone())?.state();
         let rest = state.pose();
+        let objects = objects(&state);
         Ok(Self {
             skeleton: *skeleton,
+            ground: scene.ground,
+            objects: [objects; 2],
             retarget: Retarget::new(character.clone()),
             character,
             state,
@@ -63,6 +72,12 @@ impl World {
         (self.from, self.to, self.torques) = (here, here, [0.0; HINGES]);
     }
 
+    /// Height of the ground where somebody stands whose pelvis is at `root`, metres.
+    pub(super) fn floor(&self, root: DVec3) -> f64 {
+        self.ground.around(root.x, root.z)
+    }
+
+    /// Height of the lowest corner of the soles above the ground, metres.
     fn lowest_sole(&self, pose: &CharacterPose) -> f64 {
         let frames = self.character.forward(pose);
         let feet = [Link::LeftFoot, Link::RightFoot];
@@ -74,7 +89,9 @@ impl World {
             );
             for z in [sole.heel, sole.ball] {
                 for x in [-sole.half_width, sole.half_width] {
-                    lowest = lowest.min((place + turn * DVec3::new(x, sole.y, z)).y);
+                    let corner = place + turn * DVec3::new(x, sole.y, z);
+                    let ground = self.ground.at(corner.x, corner.z).height;
+                    lowest = lowest.min(corner.y - ground);
                 }
             }
         }
@@ -93,9 +110,11 @@ impl World {
 
     /// Writes the observation of the present state.
     pub(super) fn observe(&self, user: &[User; FUTURE], hands: bool, out: &mut [f32]) {
+        let pose = self.state.pose();
         let seen = Seen {
             character: &self.character,
-            pose: &self.state.pose(),
+            pose: &pose,
+            floor: self.floor(pose.root),
             velocity: &self.state.velocity(),
             feet: self.state.feet().map(|foot| foot.force),
             user,
@@ -110,7 +129,31 @@ impl World {
         self.from = self.to;
         let step = self.state.step(&self.torques, SUBSTEPS);
         self.to = self.state.pose();
+        self.state.fetch_objects();
+        self.objects = [self.objects[1], objects(&self.state)];
         step == Step::Sound
+    }
+
+    /// Puts a thing in the scene somewhere else.
+    pub(super) fn move_object(&mut self, to: &ObjectMove) {
+        let place = Place {
+            position: to.position.as_dvec3(),
+            rotation: to.rotation.as_dquat(),
+        };
+        let velocity = [to.velocity.as_dvec3(), to.angular_velocity.as_dvec3()];
+        self.state.put_object(to.index, &place, velocity);
+        self.objects = [objects(&self.state); 2];
+    }
+
+    /// Puts everything in the scene where it was at first.
+    pub(super) fn put_objects_back(&mut self) {
+        self.state.put_objects_back();
+        self.objects = [objects(&self.state); 2];
+    }
+
+    /// The things in the scene between the last two policy steps, `share` (0 to 1) of the way.
+    pub(super) fn objects_between(&self, share: f64) -> Objects {
+        self.objects[0].between(&self.objects[1], share as f32)
     }
 
     /// Torques of the last policy step and what the ground does to the feet.
@@ -167,6 +210,19 @@ impl World {
     pub(super) fn moving(&self) -> (CharacterPose, [f64; VELOCITIES]) {
         (self.state.pose(), self.state.velocity())
     }
+}
+
+fn objects(state: &State) -> Objects {
+    let touched = state.touched();
+    let pose = |index| {
+        let place = state.object(index)?;
+        Some(ObjectPose {
+            position: place.position.as_vec3(),
+            rotation: place.rotation.as_quat().normalize(),
+            touched: touched & 1 << index != 0,
+        })
+    };
+    (0..state.objects()).filter_map(pose).collect()
 }
 
 /// The moment that has each hinge's torque about its axis, and none across them all.

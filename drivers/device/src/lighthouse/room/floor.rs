@@ -23,53 +23,8 @@ pub enum Floor {
 
 /// Eyes are this far below the top of the head, as a share of the stature.
 const EYES: f64 = 0.936;
-/// The first seconds upright: so long, with the gaze within this of level, s and rad.
-const UPRIGHT: (f64, f64) = (2.0, 0.35);
-/// A headset that is worn never rests: it turns by more than this on the way, rad/s.
-const WORN_RATE: f64 = 0.04;
-/// Heights in that time stay within this, m.
-const STEADY: f64 = 0.06;
 /// A step of the wearer's feet that this makes is none, m.
 const SMALL: f64 = 0.02;
-
-/// Watches a headset for its wearer's first seconds upright.
-#[derive(Debug, Clone, Copy, Default)]
-pub(in crate::lighthouse) struct Upright {
-    since: Option<f64>,
-    low: f64,
-    high: f64,
-    rate: f64,
-}
-
-impl Upright {
-    /// Takes a pose of the head frame with its turn rate, at a time in seconds. Answers the eyes'
-    /// height once it is known.
-    pub(in crate::lighthouse) fn watch(
-        &mut self,
-        time: f64,
-        head: &Frame,
-        rate: f64,
-    ) -> Option<f64> {
-        let (height, lean) = (
-            head.position.y,
-            (head.rotation * DVec3::Y).angle_between(DVec3::Y),
-        );
-        let steady = self.high.max(height) - self.low.min(height) < STEADY;
-        let goes_on = self.since.is_some_and(|since| since <= time) && steady;
-        if lean > UPRIGHT.1 {
-            self.since = None;
-            return None;
-        }
-        if !goes_on {
-            (self.since, self.low, self.high, self.rate) = (Some(time), height, height, 0.0);
-            return None;
-        }
-        (self.low, self.high) = (self.low.min(height), self.high.max(height));
-        self.rate = self.rate.max(rate);
-        let done = self.since.is_some_and(|since| time - since > UPRIGHT.0);
-        (done && self.rate > WORN_RATE).then_some(0.5 * (self.low + self.high))
-    }
-}
 
 impl Room {
     /// How the floor's height and the heading are known.

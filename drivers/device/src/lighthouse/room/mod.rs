@@ -30,7 +30,6 @@ use super::{
     reproject::PlaneCalibration,
 };
 pub use floor::Floor;
-pub(super) use floor::Upright;
 pub use stored::{Stored, StoredError};
 pub use trouble::Trouble;
 use trouble::Troubles;

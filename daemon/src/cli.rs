@@ -440,6 +440,13 @@ pub struct EvalArgs {
     /// with a tracker that is reset at every clip.
     #[arg(long, value_name = "MINUTES", conflicts_with_all = ["usb", "lookahead", "dump", "plot"])]
     pub continuous: Option<f64>,
+    /// Make the movers so tall, in metres, their motion scaled with them.
+    #[arg(long, value_name = "METRES", value_parser = parse_height)]
+    pub stature: Option<f32>,
+    /// What tells a clip's kind of motion: its name, or gait: stand, walk, jog or other, by how the
+    /// mover moves.
+    #[arg(long, default_value = "name", value_parser = parse_kinds)]
+    pub kinds: posed_tracker::eval::Kinds,
     /// Only every so many clips.
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..))]
     pub every: u32,
@@ -612,6 +619,11 @@ fn parse_sensors(text: &str) -> Result<posed_tracker::eval::Sensors, String> {
 fn parse_bones(text: &str) -> Result<posed_tracker::eval::Bones, String> {
     let unknown = || "give clip or height".to_owned();
     posed_tracker::eval::Bones::from_name(text).ok_or_else(unknown)
+}
+
+fn parse_kinds(text: &str) -> Result<posed_tracker::eval::Kinds, String> {
+    let unknown = || "give name or gait".to_owned();
+    posed_tracker::eval::Kinds::from_name(text).ok_or_else(unknown)
 }
 
 fn parse_tracker(text: &str) -> Result<posed_tracker::TrackerKind, String> {

@@ -1,5 +1,5 @@
-//! What a frame of HMD-NeMo costs: network, refinement, physics, at 60 and 90 ticks a second; and one
-//! of PIP: networks, and optimiser.
+//! What a frame of HMD-NeMo costs: network, refinement, physics, at 60 and 90 ticks a second; one
+//! of PIP: networks, and optimiser; and a step of QuestSim: observation, policy and four physics steps.
 //!
 //! Prints medians, 99th percentiles and maxima over the built-in human's forty seconds, three times
 //! over, for every model in policy/models, or those whose name holds the argument:
@@ -10,11 +10,11 @@ use std::{path::Path, time::Instant};
 use posed_body::motion::{Clip, Trajectory, procedural};
 use posed_signal::{HostTime, Lookup, Pose, Role};
 use posed_tracker::{
-    HmdNemo, Input, Physical, Pip, Tracker, TrackerKind, Wearer,
+    HmdNemo, Ik, Input, Physical, Pip, QuestSim, Tracker, TrackerKind, Wearer,
     eval::{Sensors, Shown, Straps},
     hmd_nemo::Options,
     inference::Runtime,
-    pip,
+    pip, questsim,
     tracker::NO_INERTIAL,
 };
 
@@ -61,6 +61,9 @@ fn main() {
             report("+ physics", &mut physical, &clip, rate);
         }
     }
+    if wanted("questsim") {
+        questsim(&runtime, &folder, &clip);
+    }
     for name in ["pip_small", "pip_full"]
         .into_iter()
         .filter(|name| wanted(name))
@@ -80,6 +83,26 @@ fn main() {
             }
         }
     }
+}
+
+/// At 36 ticks a second each has one step of the policy in it, and what little `ik` costs as its
+/// stand-in; at 90 two of five have one, and HMD-NeMo stands in, as it ships.
+fn questsim(runtime: &Runtime, folder: &Path, clip: &Clip) {
+    let read = |name: &str| std::fs::read(folder.join(format!("{name}.onnx")));
+    let (Ok(policy), Ok(stand_in)) = (read("questsim"), read("hmd_nemo_small")) else {
+        return;
+    };
+    let load = |stand_in: Box<dyn Tracker>| {
+        let options = questsim::Options::default();
+        QuestSim::load(runtime, "questsim", &policy, stand_in, options).expect("the model fits")
+    };
+    println!("questsim");
+    let mut alone = load(Box::<Ik>::default());
+    report("step, 36 Hz", &mut alone, clip, 36.0);
+    println!("  {} steps in all", alone.steps());
+    let nemo = HmdNemo::load(runtime, "stand-in", &stand_in, Options::default());
+    let mut whole = load(Box::new(nemo.expect("the model fits")));
+    report("+ HMD-NeMo, 90 Hz", &mut whole, clip, 90.0);
 }
 
 fn report(what: &str, tracker: &mut dyn Tracker, clip: &Clip, rate: f64) {

@@ -55,6 +55,7 @@ pub fn run(args: &EvalArgs) -> Result<(), CommandError> {
         bones: args.bones,
         rate_hz: args.rate,
         lookahead: args.lookahead,
+        kinds: args.kinds,
         dump: args.dump.is_some() || args.plot.is_some(),
     };
     let source = Source::new(args)?;
@@ -65,7 +66,7 @@ pub fn run(args: &EvalArgs) -> Result<(), CommandError> {
         return whole_way(&sets, &jobs, &options, &source, args);
     }
     let results = in_parallel(jobs.len(), args.threads, |index| {
-        let clip = read_clip(&sets, jobs[index])?;
+        let clip = read_clip(&sets, jobs[index], args)?;
         let mut tracker = source.tracker(&options, &clip, args)?;
         Ok(evaluate(&clip, &mut *tracker, &options))
     })?;
@@ -79,6 +80,8 @@ pub fn run(args: &EvalArgs) -> Result<(), CommandError> {
             "straps": args.straps.name(),
             "bones": args.bones.name(),
             "physics": args.physics,
+            "stature_m": args.stature,
+            "kinds": args.kinds.name(),
             "lookahead": args.lookahead,
             "rate_hz": args.rate,
             "report": report,
@@ -106,7 +109,7 @@ fn through(
     args: &EvalArgs,
     minutes: f64,
 ) -> Result<(), CommandError> {
-    let first = read_clip(sets, jobs[0])?;
+    let first = read_clip(sets, jobs[0], args)?;
     let mut trackers = [
         source.tracker(options, &first, args)?,
         source.tracker(options, &first, args)?,
@@ -116,7 +119,7 @@ fn through(
     let clips = jobs
         .iter()
         .cycle()
-        .map_while(|&job| read_clip(sets, job).ok());
+        .map_while(|&job| read_clip(sets, job, args).ok());
     let stretches = continuous(
         clips,
         [&mut **through, &mut **fresh],
@@ -154,7 +157,7 @@ fn whole_way(
     args: &EvalArgs,
 ) -> Result<(), CommandError> {
     let results = in_parallel(jobs.len(), args.threads, |index| {
-        let clip = read_clip(sets, jobs[index])?.centred();
+        let clip = read_clip(sets, jobs[index], args)?.centred();
         if !usb::fits(&clip) {
             return Ok(None);
         }
@@ -206,10 +209,14 @@ fn jobs(sets: &[MotionSet], args: &EvalArgs) -> Result<Vec<Job>, CommandError> {
     Ok(jobs)
 }
 
-fn read_clip(sets: &[MotionSet], job: Job) -> Result<Clip, CommandError> {
-    sets[job.set].clip(job.clip).map_err(|error| {
+fn read_clip(sets: &[MotionSet], job: Job, args: &EvalArgs) -> Result<Clip, CommandError> {
+    let clip = sets[job.set].clip(job.clip).map_err(|error| {
         let name = &sets[job.set].entries()[job.clip].name;
         CommandError::Input(format!("clip {name}: {error}"))
+    })?;
+    Ok(match args.stature {
+        Some(stature) => clip.of_stature(stature),
+        None => clip,
     })
 }
 
@@ -265,7 +272,10 @@ fn text(report: &Report) -> String {
             width = metric.name().len().max(7)
         );
     }
-    text += &format!(" {:>9} {:>8} {:>7}", "falls/min", "unbroken", "own");
+    text += &format!(
+        " {:>9} {:>8} {:>8} {:>7}",
+        "falls/min", "unbroken", "held_10s", "own"
+    );
     text.push('\n');
     for row in report.classes.iter().chain([&report.all]) {
         line(row, &mut text);
@@ -283,8 +293,8 @@ fn line(row: &Row, text: &mut String) {
         }
     }
     *text += &format!(
-        " {:>9.2} {:>8.2} {:>7.2}",
-        row.falls_per_minute, row.unbroken, row.own
+        " {:>9.2} {:>8.2} {:>8.2} {:>7.2}",
+        row.falls_per_minute, row.unbroken, row.held_10s, row.own
     );
     text.push('\n');
 }

@@ -63,6 +63,21 @@ impl Clip {
         }
     }
 
+    /// The same motion by a mover who is `stature` metres tall: bones and ways grow alike, times
+    /// stay.
+    #[must_use]
+    pub fn of_stature(&self, stature: f32) -> Self {
+        let scale = stature / self.skeleton.stature();
+        let mut clip = self.clone();
+        for offset in &mut clip.skeleton.offsets {
+            *offset *= scale;
+        }
+        for frame in &mut clip.frames {
+            frame.root *= scale;
+        }
+        clip
+    }
+
     /// The same motion, moved over the floor so that the pelvis's way has its middle above the
     /// world's origin: sets place their clips anywhere.
     #[must_use]
@@ -106,6 +121,19 @@ mod tests {
             .map(|frame| frame.root.x)
             .fold(f32::MIN, f32::max);
         assert!((lowest + highest).abs() < 1e-5 && highest > 0.3);
+    }
+
+    #[test]
+    fn a_taller_mover_does_the_same() {
+        let clip = procedural::timeline(1.6, 3);
+        let tall = clip.of_stature(2.0);
+        assert!((tall.skeleton.stature() - 2.0).abs() < 1e-5);
+        for (short, long) in clip.frames.iter().zip(&tall.frames) {
+            let (short, long) = (clip.skeleton.forward(short), tall.skeleton.forward(long));
+            for (short, long) in short.positions.iter().zip(&long.positions) {
+                assert!((*short * 1.25).distance(*long) < 1e-4);
+            }
+        }
     }
 
     #[test]

@@ -6,6 +6,7 @@
 
 mod class;
 mod continuous;
+mod gait;
 mod inertial;
 mod report;
 mod sensors;
@@ -24,6 +25,7 @@ use crate::{
 
 pub use class::motion_class;
 pub use continuous::{Stretch, Trend, continuous};
+pub use gait::gait;
 pub use inertial::Straps;
 pub use report::{Report, Row};
 pub use sensors::{Frustum, Sensors, Shown};
@@ -88,8 +90,39 @@ pub struct Options {
     pub rate_hz: f64,
     /// Ticks that the tracker's answer lags the newest sample.
     pub lookahead: u32,
+    /// What tells a clip's kind of motion.
+    pub kinds: Kinds,
     /// Keep both motions in the result.
     pub dump: bool,
+}
+
+/// What tells a clip's kind of motion.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Kinds {
+    /// Its name: [`motion_class`].
+    #[default]
+    Name,
+    /// How the mover moves: [`gait()`].
+    Gait,
+}
+
+impl Kinds {
+    /// The name on the command line.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Name => "name",
+            Self::Gait => "gait",
+        }
+    }
+
+    /// The inverse of [`Kinds::name`].
+    #[must_use]
+    pub fn from_name(name: &str) -> Option<Self> {
+        [Self::Name, Self::Gait]
+            .into_iter()
+            .find(|kinds| kinds.name() == name)
+    }
 }
 
 impl Default for Options {
@@ -100,6 +133,7 @@ impl Default for Options {
             bones: Bones::Clip,
             rate_hz: 60.0,
             lookahead: 0,
+            kinds: Kinds::Name,
             dump: false,
         }
     }
@@ -125,7 +159,7 @@ pub struct Dump {
 pub struct ClipResult {
     /// The clip's name.
     pub name: String,
-    /// Its kind of motion, by its name.
+    /// Its kind of motion.
     pub class: String,
     /// Frames measured.
     pub frames: usize,
@@ -194,7 +228,10 @@ pub fn evaluate(clip: &Clip, tracker: &mut dyn Tracker, options: &Options) -> Cl
     let [predicted_track, truth] = tracks;
     ClipResult {
         name: clip.name.clone(),
-        class: motion_class(&clip.name),
+        class: match options.kinds {
+            Kinds::Name => motion_class(&clip.name),
+            Kinds::Gait => gait(clip).to_owned(),
+        },
         frames: predicted.len(),
         seconds: predicted.len() as f64 / options.rate_hz,
         scores,

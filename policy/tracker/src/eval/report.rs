@@ -7,6 +7,9 @@ use serde::{Serialize, Serializer, ser::SerializeMap};
 use super::ClipResult;
 use crate::metrics::{Metric, Scores};
 
+/// A simulated body that was not put back for so long has held, seconds.
+const HELD_S: f64 = 10.0;
+
 /// Means over some clips.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Row {
@@ -24,6 +27,8 @@ pub struct Row {
     pub falls_per_minute: f64,
     /// Share of clips in which it never had to be.
     pub unbroken: f64,
+    /// Share of clips in whose first ten seconds it never had to be.
+    pub held_10s: f64,
     /// The metrics, mean over clips.
     pub scores: Scores,
 }
@@ -75,6 +80,7 @@ fn row(name: &str, results: &[&ClipResult]) -> Row {
     let seconds: f64 = results.iter().map(|clip| clip.seconds).sum();
     let own: f64 = results.iter().map(|clip| clip.own * clip.seconds).sum();
     let falls: u64 = results.iter().map(|clip| clip.recoveries).sum();
+    let held = |clip: &&&ClipResult| clip.recoveries == 0 || clip.held_s >= HELD_S;
     let unbroken = results.iter().filter(|clip| clip.recoveries == 0).count();
     Row {
         name: name.to_owned(),
@@ -83,6 +89,7 @@ fn row(name: &str, results: &[&ClipResult]) -> Row {
         own: own / seconds.max(1e-9),
         falls_per_minute: falls as f64 * 60.0 / seconds.max(1e-9),
         unbroken: unbroken as f64 / count,
+        held_10s: results.iter().filter(held).count() as f64 / count,
         hands_seen: [seen(0), seen(1)],
         scores: Scores::mean(results.iter().map(|clip| &clip.scores)),
     }

@@ -195,3 +195,81 @@ fn without_a_head_the_stand_in_shows() {
     assert!(tracker.forces().is_none());
     assert_eq!(tracker.steps(), 0);
 }
+
+/// A limp character from its spawn on, at so many ticks a second: the last pose, the policy steps, and
+/// the farthest that the pelvis went in a tick, metres.
+fn limp(rate_hz: f64, seconds: f64) -> (BodyPose, u64, f32) {
+    let stand_in = Box::new(Ik::default());
+    let options = Options::default();
+    let loaded = QuestSim::load(&shared_runtime(), "limp", LIMP, stand_in, options);
+    let mut tracker = loaded.expect("a policy");
+    let wearer = Wearer::of_height(1.75);
+    let (mut last, mut most): (Option<BodyPose>, f32) = (None, 0.0);
+    for tick in 0..=(seconds * rate_hz).round() as u32 {
+        let target = HostTime::from_secs_f64(1.0 + f64::from(tick) / rate_hz);
+        let input = Input {
+            target,
+            parts: &standing(&wearer, target),
+            wearer: &wearer,
+            inertial: &NO_INERTIAL,
+        };
+        let pose = tracker.track(&input).pose;
+        let moved = last.map_or(0.0, |last: BodyPose| pose.root.distance(last.root));
+        most = most.max(moved);
+        last = Some(pose);
+    }
+    (last.expect("a tick"), tracker.steps(), most)
+}
+
+#[test]
+fn ticks_of_any_rate_see_the_same_fall() {
+    // Nine steps of the policy; all these rates have a tick at their end.
+    let (end, steps, _) = limp(36.0, 0.25);
+    assert_eq!(steps, 9);
+    for rate in [20.0, 60.0, 72.0, 100.0, 144.0, 500.0, 1000.0] {
+        let (pose, steps, most) = limp(rate, 0.25);
+        assert!((9..=10).contains(&steps), "{rate} Hz: {steps} steps");
+        let apart = pose.root.distance(end.root);
+        assert!(apart < 1e-3, "{rate} Hz: {apart} m");
+        for (a, b) in pose.rotations.iter().zip(&end.rotations) {
+            assert!(a.angle_between(*b) < 0.01, "{rate} Hz");
+        }
+        // Between steps the pose goes on: it never stands still and jumps.
+        let speed = f64::from(most) * rate;
+        assert!(speed < 3.0, "{rate} Hz: {speed} m/s");
+    }
+}
+
+#[test]
+fn where_the_ground_is_raised_the_character_is_seen_as_on_the_floor() {
+    let ground = posed_body::scene::Ground::Steps {
+        start: 0.0,
+        rise: 0.4,
+        run: 5.0,
+        count: 1,
+    };
+    let scene = Scene {
+        ground,
+        ..Scene::default()
+    };
+    let skeleton = Skeleton::of_height(1.75);
+    let [mut flat, mut raised] =
+        [Scene::default(), scene].map(|scene| World::new(&skeleton, &scene).expect("a character"));
+    let mut pose = BodyPose::rest(Vec3::new(0.0, 1.0, -2.0));
+    flat.spawn(&pose, None);
+    pose.root.y += 0.4;
+    raised.spawn(&pose, None);
+    assert!((raised.floor(raised.to.root) - 0.4).abs() < 1e-9);
+    let part = Part {
+        position: DVec3::new(0.1, 1.5, -2.0),
+        rotation: DQuat::IDENTITY,
+    };
+    let user = [[part; PARTS]; FUTURE];
+    let mut seen = [[0.0_f32; SIZE]; 2];
+    flat.observe(&user, true, &mut seen[0]);
+    raised.observe(&user, true, &mut seen[1]);
+    for (a, b) in seen[0].iter().zip(&seen[1]) {
+        assert!((a - b).abs() < 1e-3, "{a} {b}");
+    }
+    assert!(lost(&raised, None, pose.root.y - 0.4).is_none());
+}

@@ -1,9 +1,6 @@
-"""Saving and loading of training state: atomic, and complete enough to go on bit by bit."""
+"""Models from names, configurations and checkpoints."""
 
-import os
-from pathlib import Path
-
-import torch
+from common import checkpoint
 
 from .model import CONFIGS, Config, HmdNemo
 
@@ -20,30 +17,8 @@ def build_model(name, config):
     raise ValueError(f"no model family is called {name!r}: hmd_nemo or avatar_poser")
 
 
-def save(path, state):
-    """Writes beside the file and renames, so that a cut leaves the old one whole."""
-    path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_suffix(path.suffix + ".part")
-    torch.save(state, partial)
-    os.replace(partial, path)
-
-
-def load(path):
-    return torch.load(path, map_location="cpu", weights_only=True)
-
-
-def compact(path, state):
-    """The averaged weights alone, in float16: small enough to keep, good to begin again from."""
-    kept = {k: state[k] for k in ("family", "config", "step", "seconds", "best", "arguments")}
-    kept["average"] = {k: v.half() for k, v in state["average"].items()}
-    save(path, kept)
-
-
 def load_model(path, averaged=True):
     """The model of a checkpoint, in evaluation mode, with averaged weights by default."""
-    state = load(path)
+    state = checkpoint.load(path)
     model = build_model(state["family"], state["config"])
-    weights = state["average"] if averaged else state["model"]
-    model.load_state_dict({name: value.float() for name, value in weights.items()})
-    return model.eval()
+    return checkpoint.with_weights(model, state["average" if averaged else "model"])

@@ -3,12 +3,9 @@
     python -m hmd_nemo.evaluate --mocap DIR --checkpoint FILE --splits test,cross --sets hdm05
 """
 
-import argparse
-import json
-from pathlib import Path
-
 import torch
 
+from common import evaluate as command
 from posed_mocap import store as stores
 from posed_mocap.skeleton import HEAD, forward_kinematics
 from posed_mocap.rotations import quat_to_matrix
@@ -16,7 +13,7 @@ from posed_mocap.rotations import quat_to_matrix
 from .checkpoint import load_model
 from .lanes import CONTROLLERS, FIELD_OF_VIEW, Chunk
 from .losses import pose_from
-from .metrics import mean_of, sequence_metrics
+from .metrics import sequence_metrics
 from .sample import build
 from .visibility import random_loss
 
@@ -92,36 +89,20 @@ def evaluate(model, store, clips, scenario, batch=48):
 
 def table(model, store, per_set=None):
     """Yields means by set and scenario."""
-    for name in sorted(set(store.sources)):
-        clips = [c for c in range(len(store)) if store.sources[c] == name]
-        if per_set and len(clips) > per_set:
-            clips = clips[:: -(-len(clips) // per_set)]
+    for name, clips in command.clips_by_set(store.sources, per_set):
         for label, scenario in (("controllers", CONTROLLERS), ("field_of_view", FIELD_OF_VIEW)):
             rows, seen = evaluate(model, store, clips, scenario)
-            yield f"{name}/{label}", {**mean_of(rows), "clips": len(rows), "visible": seen}
+            yield f"{name}/{label}", {**command.mean_of(rows), "clips": len(rows), "visible": seen}
 
 
 def main():
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--mocap", required=True)
-    parser.add_argument("--cache", default=stores.default_cache())
-    parser.add_argument("--checkpoint", required=True)
-    parser.add_argument("--sets", required=True, help="comma-separated")
-    parser.add_argument("--splits", required=True, help="comma-separated")
-    parser.add_argument("--out")
-    parser.add_argument("--per-set", type=int, help="at most so many clips of a set, evenly chosen")
+    parser = command.parser(__doc__)
     parser.add_argument("--threads", type=int, default=2)
     args = parser.parse_args()
     torch.set_num_threads(args.threads)
-    store = stores.cached(args.mocap, args.cache, args.sets.split(","), args.splits.split(","))
     torch.set_float32_matmul_precision("medium")
-    model, result = load_model(args.checkpoint), {}
-    for name, row in table(model, store, args.per_set):
-        result[name] = row
-        values = " ".join(f"{k}={v:.3f}" for k, v in row.items() if isinstance(v, float))
-        print(name, values, flush=True)
-        if args.out:
-            Path(args.out).write_text(json.dumps(result, indent=1))
+    store = stores.cached(args.mocap, args.cache, args.sets.split(","), args.splits.split(","))
+    command.write(table(load_model(args.checkpoint), store, args.per_set), args.out)
 
 
 if __name__ == "__main__":

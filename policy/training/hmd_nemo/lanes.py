@@ -13,8 +13,9 @@ from dataclasses import dataclass
 
 import torch
 
+from common.lanes import LaneState, clip_weights
 from posed_mocap.rotations import rotvec_to_quat
-from posed_mocap.skeleton import JOINTS, MIRROR
+from posed_mocap.skeleton import JOINTS, MIRROR, head_height
 
 from .features import RATE
 from .visibility import random_loss
@@ -62,14 +63,6 @@ def mirror(quats, root, offsets):
     return quats[..., MIRROR, :] * flip_q, root * flip_p, offsets[..., MIRROR, :] * flip_p
 
 
-def head_height(offsets):
-    """T-pose head joint above the lowest toe joint, (..., 22, 3) to (...)."""
-    head = offsets[..., [3, 6, 9, 12, 15], 1].sum(-1)
-    toes = torch.minimum(offsets[..., [1, 4, 7, 10], 1].sum(-1),
-                         offsets[..., [2, 5, 8, 11], 1].sum(-1))
-    return head - toes
-
-
 def play(store, clip, times):
     """Motion at fractional frames: Catmull-Rom on quaternions and root. times (B, n)."""
     base = times.floor().long()
@@ -86,7 +79,7 @@ def play(store, clip, times):
     return quats / quats.norm(dim=-1, keepdim=True), root
 
 
-class Lanes:
+class Lanes(LaneState):
     """`batch` lanes over a store; `next_chunk` advances all of them by `frames`.
 
     A `stride` above one skips source frames. Neighbouring frames at 60 Hz teach nearly the same,
@@ -96,18 +89,10 @@ class Lanes:
     def __init__(self, store, batch, frames, seed, augment=True, stride=1):
         self.store, self.batch, self.frames, self.augment = store, batch, frames, augment
         self.stride, self.span = stride, frames * stride
-        self.generator = torch.Generator().manual_seed(seed)
+        super().__init__(seed)
         length = (store.start[1:] - store.start[:-1]).double()
-        usable = length > 80
-        weight = torch.zeros(len(store), dtype=torch.double)
-        for name, share in SET_WEIGHTS.items():
-            mine = torch.tensor([s == name for s in store.sources]) & usable
-            if mine.any():
-                weight[mine] = share * length[mine] / length[mine].sum()
-        # Long clips keep a lane longer, so they are begun less often: shares hold in time.
-        chunks = length / self.span
-        stay = torch.where(chunks < VISIT, chunks / 2, VISIT - VISIT**2 / (2 * chunks)) + 1
-        self.weight, self.length = weight / stay, length
+        self.weight = clip_weights(store.sources, length, length > 80, SET_WEIGHTS, self.span, VISIT)
+        self.length = length
         self.lane = {
             "clip": torch.zeros(batch, dtype=torch.long),
             "place": torch.full((batch,), 1e9, dtype=torch.double),
@@ -123,24 +108,10 @@ class Lanes:
             "started": torch.zeros(batch, dtype=torch.bool),
         }
 
-    def state_dict(self):
-        lane = {name: value.clone() for name, value in self.lane.items()}
-        return {"lane": lane, "generator": self.generator.get_state()}
-
-    def load_state_dict(self, state):
-        self.lane = {name: value.clone() for name, value in state["lane"].items()}
-        self.generator.set_state(state["generator"])
-
-    def _normal(self, *shape):
-        return torch.randn(*shape, generator=self.generator)
-
-    def _uniform(self, *shape):
-        return torch.rand(*shape, generator=self.generator)
-
     def _renew(self, which):
         """Gives the lanes `which` (indices) a new clip, place and augmentation."""
         lane, n = self.lane, len(which)
-        clip = torch.multinomial(self.weight, n, replacement=True, generator=self.generator)
+        clip = self._draw(self.weight, n)
         lane["clip"][which] = clip
         lane["visit"][which] = 0
         fast = self._uniform(n) < 0.5

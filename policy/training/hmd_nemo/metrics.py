@@ -47,8 +47,3 @@ def jitter(world):
     """Mean jerk of the joints, km/s^3."""
     jerk = world[3:] - 3 * world[2:-1] + 3 * world[1:-2] - world[:-3]
     return (jerk.norm(dim=-1).mean() * RATE**3 / 1000).item()
-
-
-def mean_of(rows):
-    """Means over sequences, by name."""
-    return {name: sum(r[name] for r in rows) / len(rows) for name in rows[0]}

@@ -8,8 +8,6 @@ is stopped at any time and finished later. Started again with the same `--out` i
 """
 
 import argparse
-import csv
-import json
 import signal
 import time
 from dataclasses import asdict
@@ -17,18 +15,20 @@ from pathlib import Path
 
 import torch
 
+from common import checkpoint, schedule
+from common.average import Average
+from common.log import Log
+from common.optimizer import MuonAdamW
 from posed_mocap import store as stores
 
-from . import checkpoint, schedule
-from .workers import Workers, spawn
+from .checkpoint import build_model
 from .evaluate import table
 from .lanes import Lanes
 from .losses import losses, total
-from .optimizer import MuonAdamW
 from .sample import Sample, build
+from .workers import Workers, spawn
 
 VALIDATION_SETS = ["bandai", "cmu_amc", "cmu_amc2", "cmu_bvh", "cmu_cc"]
-AVERAGE = 0.998
 
 
 def arguments():
@@ -85,12 +85,12 @@ class Run:
         share = args.batch // workers.count
         self.lanes = Lanes(store, share, args.frames, args.seed * 1000 + workers.rank,
                            stride=args.stride)
-        model = checkpoint.build_model(args.family, args.model)
+        model = build_model(args.family, args.model)
         if args.fixed_mask:
             config = {**asdict(model.config), "tamt": False}
-            model = checkpoint.build_model(args.family, config)
+            model = build_model(args.family, config)
         self.model = model.to(self.device).train()
-        self.average = {k: v.detach().clone() for k, v in self.model.state_dict().items()}
+        self.average = Average(self.model)
         self.optimizer = MuonAdamW(self.model.named_parameters(), args.rate)
         self.state = self.model.initial_state(share)
         self.step, self.seconds, self.best = 0, 0.0, float("inf")
@@ -98,7 +98,7 @@ class Run:
     def state_dict(self):
         return {
             "family": self.args.family, "config": asdict(self.model.config),
-            "model": self.model.state_dict(), "average": self.average,
+            "model": self.model.state_dict(), "average": self.average.weights,
             "optimizer": self.optimizer.state_dict(), "step": self.step, "seconds": self.seconds,
             "best": self.best, "random": torch.get_rng_state(), "arguments": {
                 k: str(v) for k, v in vars(self.args).items()
@@ -106,8 +106,9 @@ class Run:
         }
 
     def load_state_dict(self, state):
-        self.average = {k: v.to(self.device).float() for k, v in state["average"].items()}
-        self.model.load_state_dict(state.get("model", self.average))
+        average = {k: v.to(self.device).float() for k, v in state["average"].items()}
+        self.average.weights = average
+        self.model.load_state_dict(state.get("model", average))
         self.step, self.seconds, self.best = state["step"], state["seconds"], state["best"]
         if "optimizer" in state and not self.args.fresh_optimizer:
             self.optimizer.load_state_dict(state["optimizer"])
@@ -141,57 +142,18 @@ class Run:
             group["lr"] = schedule.learning_rate(self.args, self.step)
         self.optimizer.step()
         self.state = state.detach()
-        keep = min(AVERAGE, (1 + self.step) / (10 + self.step))
-        torch._foreach_lerp_(
-            list(self.average.values()), list(self.model.state_dict().values()), 1 - keep
-        )
+        self.average.follow(self.step)
         self.step += 1
         return {"loss": loss.item(), "grad": norm.item(), **{k: v.item() for k, v in named.items()}}
 
     def validate(self, store):
         """Validation table of the averaged weights."""
-        kept = {k: v.clone() for k, v in self.model.state_dict().items()}
-        self.model.load_state_dict(self.average)
-        result = dict(table(self.model, store, per_set=40))
-        self.model.load_state_dict(kept)
-        return result
+        return self.average.measure(lambda model: dict(table(model, store, per_set=40)))
 
 
 def score(result):
     """What picks the best checkpoint: MPJPE plus a tenth of MPJVE, mean over sets and scenarios."""
     return sum(r["mpjpe_cm"] + 0.1 * r["mpjve_cm_s"] for r in result.values()) / len(result)
-
-
-def append(path, row):
-    new = not path.exists()
-    with path.open("a", newline="") as file:
-        writer = csv.writer(file)
-        if new:
-            writer.writerow(row)
-        writer.writerow([f"{v:.6g}" if isinstance(v, float) else v for v in row.values()])
-
-
-class Log:
-    """Losses averaged over 50 steps to `train.csv`, validation to `validation.jsonl`."""
-
-    def __init__(self, out):
-        self.out, self.sums, self.count = out, {}, 0
-
-    def losses(self, run, named):
-        for name, value in named.items():
-            self.sums[name] = self.sums.get(name, 0.0) + value
-        self.count += 1
-        if run.step % 50 == 0:
-            means = {k: v / self.count for k, v in self.sums.items()}
-            append(self.out / "train.csv", {"step": run.step, "seconds": run.seconds, **means})
-            self.sums, self.count = {}, 0
-
-    def validation(self, run, value, result):
-        row = {"step": run.step, "seconds": run.seconds, "score": value, "table": result}
-        with (self.out / "validation.jsonl").open("a") as file:
-            file.write(json.dumps(row) + "\n")
-        errors = {k: (round(r["mpjpe_cm"], 2), round(r["mpjve_cm_s"], 1)) for k, r in result.items()}
-        print(run.step, f"{run.seconds:.0f}s", f"{value:.3f}", errors, flush=True)
 
 
 def validation_store(args):
@@ -227,7 +189,7 @@ def train(workers, args):
     torch.set_num_threads(args.threads)
     out, first = Path(args.out), workers.rank == 0
     out.mkdir(parents=True, exist_ok=True)
-    run, log = Run(args, workers), Log(out)
+    run, log = Run(args, workers), Log(out, ("mpjpe_cm", "mpjve_cm_s"))
     resume(run, out)
     args.begun = run.step if args.fresh_optimizer or args.start else 0
     validation = validation_store(args) if first else None

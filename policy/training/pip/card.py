@@ -1,6 +1,6 @@
 """The model card: what the weights are, from what data, how good, and under what licence."""
 
-from hmd_nemo.card import DATA
+from common.card import data, flags, metric_table
 
 COLUMNS = [
     ("sip_deg", "SIP deg"), ("angle_deg", "angle deg"), ("joint_cm", "joints cm"),
@@ -8,25 +8,10 @@ COLUMNS = [
 ]
 
 
-def metric_rows(metrics):
-    """A Markdown table from `pip.evaluate`'s JSON, or a line that says there is none."""
-    if not metrics:
-        return "Not evaluated.\n"
-    head = "| set | clips | " + " | ".join(t for _, t in COLUMNS) + " |"
-    rows = [head, "|" + "---|" * (len(COLUMNS) + 2)]
-    for name, row in metrics.items():
-        cells = " | ".join(f"{row[k]:.2f}" for k, _ in COLUMNS)
-        rows.append(f"| {name} | {row['clips']} | {cells} |")
-    return "\n".join(rows) + "\n"
-
-
 def model_card(name, facts):
     """Markdown."""
     training, config = facts["training"], facts["config"]
-    flags = " ".join(
-        f"--{k.replace('_', '-')} {v}" for k, v in training["arguments"].items()
-        if k in ("model", "only", "batch", "frames", "stride", "rate", "seed") and v != "None"
-    )
+    told = flags(training, ("model", "only", "batch", "frames", "stride", "rate", "seed"))
     return f"""# {name}
 
 PIP's five recurrent networks: a moving body from six inertial sensors (forearms, shanks, head,
@@ -39,14 +24,14 @@ pelvis), one frame at a time at 60 Hz. {facts['parameters'] / 1e6:.2f} M paramet
 - Golden vectors: `{name}.golden.json` (procedural motion, no recorded data)
 - Licence of the weights: {facts['licence']}.
 - Training: {training['steps']} steps, {training['hours']:.2f} h on a share of one CPU core,
-  last part: `python -m pip.train --mocap DIR --out RUN {flags}`, then `python -m pip.export`
+  last part: `python -m pip.train --mocap DIR --out RUN {told}`, then `python -m pip.export`
 
 ## Training data
 
 Only the `train` split of the sets below; `val` chose the checkpoint. hdm05 and mass were never
 trained on or tuned on, nor were test clips.
 
-{DATA}
+{data(training)}
 ## Errors of the kinematics alone
 
 Means over clips of per-clip means, with the clips' own bones, ideal sensors in their usual
@@ -56,7 +41,7 @@ second's integrated pelvis velocity leads astray. Sets differ from those of publ
 number here is comparable with theirs. `posed eval --sensors imu6 --tracker pip` measures the
 tracker as it runs, with physics.
 
-{metric_rows(facts['metrics'])}
+{metric_table(facts['metrics'], COLUMNS)}
 ## Limits
 
 Trained on few people and mostly on walking, gestures and idling. Lying, crawling and acrobatics

@@ -3,13 +3,9 @@
     python -m pip.evaluate --mocap DIR --checkpoint FILE --sets snu,hdm05 --splits test,cross
 """
 
-import argparse
-import json
-from pathlib import Path
-
 import torch
 
-from posed_mocap import store as stores
+from common import evaluate as command
 from posed_mocap.rotations import geodesic, quat_to_matrix, six_to_matrix
 from posed_mocap.skeleton import JOINTS, PARENTS
 
@@ -117,39 +113,21 @@ def evaluate(model, motions, clips, stride=1, batch=48, initial=True):
     return rows
 
 
-def mean_of(rows):
-    return {name: sum(r[name] for r in rows) / len(rows) for name in rows[0]}
-
-
 def table(model, motions, per_set=None, stride=1):
     """Yields means by set."""
-    for name in sorted(set(motions.sources)):
-        clips = [c for c in range(len(motions)) if motions.sources[c] == name]
-        if per_set and len(clips) > per_set:
-            clips = clips[:: -(-len(clips) // per_set)]
+    for name, clips in command.clips_by_set(motions.sources, per_set):
         rows = evaluate(model, motions, clips, stride)
-        yield name, {**mean_of(rows), "clips": len(rows)}
+        yield name, {**command.mean_of(rows), "clips": len(rows)}
 
 
 def main():
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--mocap", required=True)
-    parser.add_argument("--cache", default=stores.default_cache())
-    parser.add_argument("--checkpoint", required=True)
-    parser.add_argument("--sets", required=True, help="comma-separated")
-    parser.add_argument("--splits", required=True, help="comma-separated")
-    parser.add_argument("--out")
-    parser.add_argument("--per-set", type=int, help="at most so many clips of a set, evenly chosen")
+    parser = command.parser(__doc__)
     parser.add_argument("--stride", type=int, default=1)
     args = parser.parse_args()
     torch.set_num_threads(1)
     motions = motion.cached(args.mocap, args.cache, args.sets.split(","), args.splits.split(","))
-    model, result = load_model(args.checkpoint), {}
-    for name, row in table(model, motions, args.per_set, args.stride):
-        result[name] = row
-        print(name, " ".join(f"{k}={v:.3f}" for k, v in row.items()), flush=True)
-        if args.out:
-            Path(args.out).write_text(json.dumps(result, indent=1))
+    rows = table(load_model(args.checkpoint), motions, args.per_set, args.stride)
+    command.write(rows, args.out)
 
 
 if __name__ == "__main__":

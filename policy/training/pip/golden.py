@@ -1,6 +1,6 @@
 """Golden vectors: a made-up motion through sensors, features and networks, for other runtimes.
 
-The motion is HMD-NeMo's procedural one, so no recorded data is in the file. The left forearm's
+The motion is procedural, so no recorded data is in the file. The left forearm's
 sensor is lost for a while.
 """
 
@@ -8,11 +8,10 @@ import json
 
 import torch
 
-from hmd_nemo.golden import matrix_to_quat, procedural_motion, rounded
-from hmd_nemo.lanes import head_height
+from common.golden import FRAMES, matrix_to_quat, procedural_motion, rounded
 from posed_mocap.amass import AVERAGE_OFFSETS
 from posed_mocap.rotations import quat_to_matrix
-from posed_mocap.skeleton import forward_kinematics
+from posed_mocap.skeleton import forward_kinematics, head_height
 
 from .lanes import LEAVES
 from .model import VELOCITY_SIZE
@@ -20,7 +19,6 @@ from .motion import RATE
 from .sensors import COUNT, JOINTS_OF, features, usual_place
 from .step import Step, example_inputs
 
-FRAMES = 120
 LOST = range(40, 60)
 
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import torch
 
+from common.lanes import LaneState, clip_weights
 from posed_mocap.rotations import matrix_to_six, quat_to_matrix, rotvec_to_quat
 from posed_mocap.skeleton import MIRROR
 
@@ -85,7 +86,7 @@ def targets(motions, index, before, after, seconds, height, mirrored=None):
     return local[:, :, LEAVES].flatten(2), local[:, :, 1:].flatten(2), rotations, velocity.flatten(2)
 
 
-class Lanes:
+class Lanes(LaneState):
     """`batch` lanes over motions; `next_batch` advances all of them by `frames`.
 
     A `stride` above one skips source frames: neighbouring frames at 60 Hz teach nearly the same.
@@ -94,21 +95,14 @@ class Lanes:
     def __init__(self, motions, batch, frames, seed, stride=1, augment=True):
         self.motions, self.batch, self.frames, self.augment = motions, batch, frames, augment
         self.stride, self.span = stride, frames * stride
-        self.generator = torch.Generator().manual_seed(seed)
+        super().__init__(seed)
         length = (motions.start[1:] - motions.start[:-1]).double()
         usable = length > self.span + 3 * MARGIN
-        weight = torch.zeros(len(motions), dtype=torch.double)
-        for name, share in SET_WEIGHTS.items():
-            mine = torch.tensor([s == name for s in motions.sources]) & usable
-            if mine.any():
-                weight[mine] = share * length[mine] / length[mine].sum()
-        # Long clips keep a lane longer, so they are begun less often: shares hold in time.
-        chunks = length / self.span
         self.visit = torch.tensor(
             [VISIT_SITTING if s == "sitting" else VISIT for s in motions.sources])
-        visit = self.visit.double()
-        stay = torch.where(chunks < visit, chunks / 2, visit - visit**2 / (2 * chunks)) + 1
-        self.weight, self.length = weight / stay, length.long()
+        self.weight = clip_weights(
+            motions.sources, length, usable, SET_WEIGHTS, self.span, self.visit)
+        self.length = length.long()
         self.place = usual_place(motions.offsets)
         b = batch
         self.lane = {
@@ -122,24 +116,10 @@ class Lanes:
             "height_error": torch.ones(b), "started": torch.zeros(b, dtype=torch.bool),
         }
 
-    def state_dict(self):
-        lane = {name: value.clone() for name, value in self.lane.items()}
-        return {"lane": lane, "generator": self.generator.get_state()}
-
-    def load_state_dict(self, state):
-        self.lane = {name: value.clone() for name, value in state["lane"].items()}
-        self.generator.set_state(state["generator"])
-
-    def _normal(self, *shape):
-        return torch.randn(*shape, generator=self.generator)
-
-    def _uniform(self, *shape):
-        return torch.rand(*shape, generator=self.generator)
-
     def _renew(self, which):
         """Gives the lanes `which` (indices) a new clip, place and wearer."""
         lane, n = self.lane, len(which)
-        clip = torch.multinomial(self.weight, n, replacement=True, generator=self.generator)
+        clip = self._draw(self.weight, n)
         lane["clip"][which] = clip
         lane["visit"][which] = 0
         lane["pause"][which] = 0

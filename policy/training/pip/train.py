@@ -8,7 +8,6 @@ finished later. Started again with the same `--out` it goes on where it stopped.
 """
 
 import argparse
-import json
 import signal
 import time
 from dataclasses import asdict
@@ -16,19 +15,20 @@ from pathlib import Path
 
 import torch
 
-from hmd_nemo import schedule
-from hmd_nemo.optimizer import MuonAdamW
-from hmd_nemo.train import append
+from common import checkpoint, schedule
+from common.average import Average
+from common.log import Log
+from common.optimizer import MuonAdamW
 from posed_mocap import store as stores
 
-from . import checkpoint, motion
+from . import motion
+from .checkpoint import build_model
 from .evaluate import table
 from .lanes import Lanes
 from .losses import losses, total
 from .model import select
 
 VALIDATION_SETS = ["bandai", "cmu_amc", "cmu_amc2", "cmu_bvh", "cmu_cc"]
-AVERAGE = 0.998
 SPLIT = ("lstm.weight",)
 """Layers whose outputs are an LSTM's four gates side by side: each is its own matrix."""
 PLAIN = ("enter", "leave", "begin_", "bias")
@@ -66,11 +66,11 @@ class Run:
         torch.set_float32_matmul_precision("medium")
         motions = motion.cached(args.mocap, args.cache, args.sets.split(","), ["train"])
         self.lanes = Lanes(motions, args.batch, args.frames, args.seed, args.stride)
-        self.model = checkpoint.build_model(args.model)
+        self.model = build_model(args.model)
         if args.no_initial:
             config = {**asdict(self.model.config), "initial": False}
-            self.model = checkpoint.build_model(config)
-        self.average = {k: v.detach().clone() for k, v in self.model.state_dict().items()}
+            self.model = build_model(config)
+        self.average = Average(self.model)
         named = [(n, p) for n, p in self.model.named_parameters() if self._trains(n)]
         for name, parameter in self.model.named_parameters():
             parameter.requires_grad_(self._trains(name))
@@ -86,7 +86,7 @@ class Run:
     def state_dict(self):
         return {
             "config": asdict(self.model.config), "model": self.model.state_dict(),
-            "average": self.average, "optimizer": self.optimizer.state_dict(), "step": self.step,
+            "average": self.average.weights, "optimizer": self.optimizer.state_dict(), "step": self.step,
             "seconds": self.seconds, "best": self.best, "lanes": self.lanes.state_dict(),
             "state": {n: list(p) for n, p in self.state.items()},
             "arguments": {k: str(v) for k, v in vars(self.args).items()},
@@ -95,7 +95,7 @@ class Run:
     def load_state_dict(self, state):
         mine = self.model.state_dict()
         keep = {k: v.float() for k, v in state["average"].items() if k in mine}
-        self.average = {**self.average, **keep}
+        self.average.weights = {**self.average.weights, **keep}
         self.model.load_state_dict(
             {**mine, **{k: v.float() for k, v in state.get("model", keep).items() if k in mine}})
         self.step, self.seconds, self.best = state["step"], state["seconds"], state["best"]
@@ -126,20 +126,15 @@ class Run:
         for group in self.optimizer.param_groups:
             group["lr"] = schedule.learning_rate(self.args, self.step)
         self.optimizer.step()
-        keep = min(AVERAGE, (1 + self.step) / (10 + self.step))
-        torch._foreach_lerp_(
-            list(self.average.values()), list(self.model.state_dict().values()), 1 - keep
-        )
+        self.average.follow(self.step)
         self.step += 1
         return {"loss": loss.item(), "grad": norm.item(), **{k: v.item() for k, v in named.items()}}
 
     def validate(self, motions):
         """Validation table of the averaged weights."""
-        kept = {k: v.clone() for k, v in self.model.state_dict().items()}
-        self.model.load_state_dict(self.average)
-        result = dict(table(self.model, motions, per_set=24, stride=self.args.stride))
-        self.model.load_state_dict(kept)
-        return result
+        stride = self.args.stride
+        return self.average.measure(
+            lambda model: dict(table(model, motions, per_set=24, stride=stride)))
 
 
 def score(result):
@@ -147,38 +142,11 @@ def score(result):
     return sum(r["sip_deg"] + 0.2 * r["way_cm_s"] for r in result.values()) / len(result)
 
 
-class Log:
-    """Losses averaged over 50 steps to `train.csv`, validation to `validation.jsonl`."""
-
-    def __init__(self, out):
-        self.out, self.sums, self.count = out, {}, 0
-
-    def losses(self, run, named):
-        for name, value in named.items():
-            self.sums[name] = self.sums.get(name, 0.0) + value
-        self.count += 1
-        if run.step % 50 == 0:
-            means = {k: v / self.count for k, v in self.sums.items()}
-            append(self.out / "train.csv", {"step": run.step, "seconds": run.seconds, **means})
-            print(run.step, f"{run.seconds:.0f}s",
-                  " ".join(f"{k}={v:.4f}" for k, v in means.items()), flush=True)
-            self.sums, self.count = {}, 0
-
-    def validation(self, run, value, result):
-        row = {"step": run.step, "seconds": run.seconds, "score": value,
-               "stride": run.args.stride, "table": result}
-        with (self.out / "validation.jsonl").open("a") as file:
-            file.write(json.dumps(row) + "\n")
-        errors = {k: [round(r[n], 2) for n in ("sip_deg", "joint_cm", "way_cm_s", "contact")]
-                  for k, r in result.items()}
-        print(run.step, f"{run.seconds:.0f}s", f"{value:.3f}", errors, flush=True)
-
-
 def train(args):
     torch.set_num_threads(1)
     out = Path(args.out)
     out.mkdir(parents=True, exist_ok=True)
-    run, log = Run(args), Log(out)
+    run, log = Run(args), Log(out, ("sip_deg", "joint_cm", "way_cm_s", "contact"))
     last = out / "last.pt"
     source = last if last.exists() else args.start
     if source:

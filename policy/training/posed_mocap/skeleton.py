@@ -58,3 +58,11 @@ def forward_kinematics(rotations, offsets):
     world_all = torch.cat(world_parts, dim=-3)[..., _RESTORE, :, :]
     position_all = torch.cat(position_parts, dim=-2)[..., _RESTORE, :]
     return world_all, position_all
+
+
+def head_height(offsets):
+    """T-pose head joint above the lowest toe joint, (..., 22, 3) to (...)."""
+    head = offsets[..., [3, 6, 9, 12, 15], 1].sum(-1)
+    toes = torch.minimum(offsets[..., [1, 4, 7, 10], 1].sum(-1),
+                         offsets[..., [2, 5, 8, 11], 1].sum(-1))
+    return head - toes

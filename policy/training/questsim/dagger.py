@@ -6,13 +6,14 @@ before it and on its number alone: killed and started again, the curve is the sa
 """
 
 import argparse
-import json
-import os
 import time
 from pathlib import Path
 
 import numpy as np
 import torch
+
+from common import checkpoint
+from common.log import record
 
 from .expert import Expert
 from .motion import Motion
@@ -58,7 +59,7 @@ class Run:
         torch.manual_seed(args.seed)
         self.student = Mlp()
         if args.start:
-            self.student.load_state_dict(torch.load(args.start, weights_only=True)["student"])
+            self.student.load_state_dict(checkpoint.load(args.start)["student"])
         self.optimizer = torch.optim.Adam(self.student.parameters(), args.lr)
         self.round, self.samples, self.seconds = 0, 0, 0.0
         self.memory = Memory(args.keep)
@@ -70,14 +71,12 @@ class Run:
         """Weights, optimiser and counters; the data lies beside, one file a round."""
         state = {"student": self.student.state_dict(), "optimizer": self.optimizer.state_dict(),
                  "round": self.round, "samples": self.samples, "seconds": self.seconds}
-        partial = self.out / "state.part"
-        torch.save(state, partial)
-        os.replace(partial, self.checkpoint())
+        checkpoint.save(self.checkpoint(), state)
 
     def restore(self):
         if not self.checkpoint().exists():
             return
-        state = torch.load(self.checkpoint(), weights_only=True)
+        state = checkpoint.load(self.checkpoint())
         self.student.load_state_dict(state["student"])
         self.optimizer.load_state_dict(state["optimizer"])
         self.round, self.samples = state["round"], state["samples"]
@@ -163,9 +162,7 @@ class Run:
             line = {"round": self.round, "states": self.samples, "error": error, **figures,
                     "play_s": played - began, "hours": self.seconds / 3600}
             self.save()
-            with open(self.out / "curve.jsonl", "a") as file:
-                print(json.dumps(line), file=file)
-            print(json.dumps(line), flush=True)
+            record(self.out / "curve.jsonl", line)
 
 
 def parser():

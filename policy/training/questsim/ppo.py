@@ -5,13 +5,14 @@ killed and started again, the curve is the same.
 """
 
 import argparse
-import json
-import os
 import time
 from pathlib import Path
 
 import numpy as np
 import torch
+
+from common import checkpoint
+from common.log import record
 
 from .dagger import LOOKAHEADS
 from .motion import Motion
@@ -43,7 +44,7 @@ class Run:
         self.motion, self.out, self.args = motion, Path(out), args
         torch.manual_seed(args.seed)
         self.actor, self.critic = Mlp(), Mlp(1)
-        start = torch.load(args.start, weights_only=True)["student"]
+        start = checkpoint.load(args.start)["student"]
         self.actor.load_state_dict(start)
         self.critic.mean.copy_(self.actor.mean)
         self.critic.scale.copy_(self.actor.scale)
@@ -57,14 +58,12 @@ class Run:
                 "steps": self.steps, "seconds": self.seconds}
 
     def save(self):
-        partial = self.out / "state.part"
-        torch.save(self.state(), partial)
-        os.replace(partial, self.out / "state.pt")
+        checkpoint.save(self.out / "state.pt", self.state())
 
     def restore(self):
         if not (self.out / "state.pt").exists():
             return
-        state = torch.load(self.out / "state.pt", weights_only=True)
+        state = checkpoint.load(self.out / "state.pt")
         self.actor.load_state_dict(state["student"])
         self.critic.load_state_dict(state["critic"])
         self.optimizer.load_state_dict(state["optimizer"])
@@ -144,9 +143,7 @@ class Run:
                     "reward": float(np.dot(figures["terms"], WEIGHTS)),
                     "hours": self.seconds / 3600}
             self.save()
-            with open(self.out / "curve.jsonl", "a") as file:
-                print(json.dumps(line), file=file)
-            print(json.dumps(line), flush=True)
+            record(self.out / "curve.jsonl", line)
 
 
 def main(argv=None):

@@ -7,14 +7,16 @@ import numpy as np
 import onnxruntime
 import torch
 
-from hmd_nemo import checkpoint, export, golden, step
+from common import checkpoint
+from common.golden import procedural_motion
+from common.optimizer import MuonAdamW, orthogonal
+from hmd_nemo import export, golden, step
 from hmd_nemo.avatar_poser import AvatarPoser, AvatarPoserConfig, WindowStep
 from hmd_nemo.features import hide, observe
-from hmd_nemo.lanes import CONTROLLERS, FIELD_OF_VIEW, HEAD_ONLY, Lanes, head_height, mirror
+from hmd_nemo.lanes import CONTROLLERS, FIELD_OF_VIEW, HEAD_ONLY, Lanes, mirror
 from hmd_nemo.losses import losses, total
 from hmd_nemo.metrics import sequence_metrics
 from hmd_nemo.model import CONFIGS, HmdNemo
-from hmd_nemo.optimizer import MuonAdamW, orthogonal
 from hmd_nemo.sample import build, hand_visibility
 from hmd_nemo.train import Run
 from hmd_nemo.visibility import in_view
@@ -23,12 +25,12 @@ from posed_mocap import store
 from posed_mocap.amass import AVERAGE_OFFSETS
 from posed_mocap.clips import Clip
 from posed_mocap.rotations import quat_to_matrix, yaw_matrix
-from posed_mocap.skeleton import forward_kinematics
+from posed_mocap.skeleton import forward_kinematics, head_height
 
 
 def made_up_store(clips=3, frames=260):
     """Clips of the procedural motion, as if from a set."""
-    quats, root = golden.procedural_motion(frames)
+    quats, root = procedural_motion(frames)
     height = float(head_height(torch.from_numpy(AVERAGE_OFFSETS)))
     made = [Clip(f"c{i}", "bandai", "train", quats.numpy(), root.numpy().astype(np.float32),
                  AVERAGE_OFFSETS, height) for i in range(clips)]
@@ -37,7 +39,7 @@ def made_up_store(clips=3, frames=260):
 
 def sensor_features(turn=0.0, shift=(0.0, 0.0), scale=1.0):
     offsets = torch.from_numpy(AVERAGE_OFFSETS) * scale
-    quats, root = golden.procedural_motion(40)
+    quats, root = procedural_motion(40)
     rotation, position = golden.sensors(quats, root * scale, offsets)
     spin = yaw_matrix(torch.tensor(turn))
     rotation = spin @ rotation
@@ -90,7 +92,7 @@ def test_field_of_view_and_scenarios():
 
 def test_mirror_reflects_joint_positions():
     offsets = torch.from_numpy(AVERAGE_OFFSETS)
-    quats, root = golden.procedural_motion(10)
+    quats, root = procedural_motion(10)
     _, before = forward_kinematics(quat_to_matrix(quats), offsets)
     quats, _, offsets = mirror(quats, root, offsets)
     _, after = forward_kinematics(quat_to_matrix(quats), offsets)

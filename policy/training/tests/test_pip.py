@@ -6,7 +6,8 @@ from types import SimpleNamespace
 import numpy as np
 import torch
 
-from pip import checkpoint, evaluate, export, golden
+from common import checkpoint
+from pip import evaluate, export, golden
 from pip.lanes import Lanes, targets
 from pip.losses import cumulative, losses
 from pip.model import CONFIGS, Pip, select

@@ -1,0 +1,1 @@
+"""What the trainings share: schedule, optimizer, checkpoints, logs, lanes, export, golden motion."""

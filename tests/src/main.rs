@@ -1,6 +1,7 @@
 //! The integration tests of posed, in one binary so that they link once.
 
 mod allocation;
+mod body;
 mod captures;
 mod demo;
 mod layering;

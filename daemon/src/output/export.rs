@@ -194,8 +194,12 @@ fn is_same(one: &Skeleton, other: &Skeleton) -> bool {
     (0..JOINTS).all(|joint| one.offsets[joint].distance(other.offsets[joint]) < SAME_BONE)
 }
 
-/// Puts a whole file in place at once: whoever looks finds the old one or the new one.
+/// Puts a whole file in place at once: whoever looks finds the old one or the new one. What is no
+/// file (a pipe, a device) is written to, not replaced.
 fn replace(path: &Path, bytes: &[u8]) -> io::Result<()> {
+    if fs::metadata(path).is_ok_and(|there| !there.is_file()) {
+        return fs::File::options().write(true).open(path)?.write_all(bytes);
+    }
     let mut name = path.file_name().unwrap_or_default().to_owned();
     name.push(format!(".{}.part", std::process::id()));
     let part = path.with_file_name(name);
@@ -222,6 +226,21 @@ mod tests {
             unit: Unit::Centimetres,
             rate_hz: 90.0,
         }
+    }
+
+    #[test]
+    fn what_is_no_file_is_not_replaced() {
+        let folder = tempfile::tempdir().unwrap();
+        let pipe = folder.path().join("pipe");
+        let made = std::process::Command::new("mkfifo").arg(&pipe).status();
+        assert!(made.unwrap().success());
+        let reader = {
+            let pipe = pipe.clone();
+            std::thread::spawn(move || fs::read(pipe))
+        };
+        replace(&pipe, b"motion").unwrap();
+        assert_eq!(reader.join().unwrap().unwrap(), b"motion");
+        assert!(!fs::metadata(&pipe).unwrap().is_file());
     }
 
     #[test]

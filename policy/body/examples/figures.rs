@@ -22,7 +22,7 @@ use posed_body::motion::{Clip, MotionSet};
 use posed_body::optimiser::{Optimiser, Outcome, Reference, Settings};
 use posed_body::qp::{Solver, Status};
 use posed_body::retarget::Retarget;
-use posed_body::scene::{Ground, Object, Scene};
+use posed_body::scene::{Ground, samples};
 use posed_body::simulation::{Model, Step};
 use posed_body::skeleton::PARENTS;
 use posed_body::{BodyPose, JOINTS, Joint, Skeleton};
@@ -443,69 +443,11 @@ fn compare_solvers(set: &str, clips: &[Clip]) {
     );
 }
 
-fn scenes() -> Vec<(&'static str, Scene)> {
-    let ground = |ground| Scene {
-        ground,
-        ..Scene::default()
-    };
-    let with = |object| Scene {
-        objects: vec![object],
-        ..Scene::default()
-    };
-    let position = [0.1, 0.15, -0.4];
-    let block = Object::Box {
-        size: [0.4, 0.3, 0.4],
-        position,
-        yaw: 20.0,
-        mass: Some(6.0),
-    };
-    let ball = Object::Ball {
-        radius: 0.2,
-        position: [0.1, 0.2, -0.4],
-        mass: 0.6,
-    };
-    let chair = Object::Chair {
-        position: [0.0, 0.0, 0.35],
-        yaw: 0.0,
-        seat: 0.45,
-    };
-    vec![
-        ("floor", Scene::default()),
-        (
-            "slope",
-            ground(Ground::Slope {
-                degrees: 10.0,
-                heading: 30.0,
-            }),
-        ),
-        (
-            "rough",
-            ground(Ground::Rough {
-                amplitude: 0.15,
-                hills: 1.0,
-                seed: 3,
-            }),
-        ),
-        (
-            "steps",
-            ground(Ground::Steps {
-                start: 0.3,
-                rise: 0.15,
-                run: 0.3,
-                count: 5,
-            }),
-        ),
-        ("box", with(block)),
-        ("ball", with(ball)),
-        ("chair", with(chair)),
-    ]
-}
-
 /// A minute of random torques, held for 1/36 s each, after a fall from half a metre.
 fn drop_on_scenes() -> Result<(), Box<dyn std::error::Error>> {
     let mut noise = Noise(3);
     for stature in [1.4, 1.75, 2.0] {
-        for (name, scene) in scenes() {
+        for (name, scene) in samples() {
             let character = Character::of_height(stature)?;
             let weight = character.mass() * posed_body::simulation::GRAVITY;
             let limits: [f64; HINGES] = character.hinges.map(|hinge| hinge.torque);

@@ -5,6 +5,8 @@ pub mod eval;
 mod fade;
 mod gather;
 mod geometry;
+#[cfg(test)]
+mod golden;
 pub mod hmd_nemo;
 pub mod ik;
 pub mod inference;

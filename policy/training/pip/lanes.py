@@ -92,7 +92,7 @@ class Lanes(LaneState):
     A `stride` above one skips source frames: neighbouring frames at 60 Hz teach nearly the same.
     """
 
-    def __init__(self, motions, batch, frames, seed, stride=1, augment=True):
+    def __init__(self, motions, batch, frames, seed, stride=1, augment=True, shares=SET_WEIGHTS):
         self.motions, self.batch, self.frames, self.augment = motions, batch, frames, augment
         self.stride, self.span = stride, frames * stride
         super().__init__(seed)
@@ -101,7 +101,7 @@ class Lanes(LaneState):
         self.visit = torch.tensor(
             [VISIT_SITTING if s == "sitting" else VISIT for s in motions.sources])
         self.weight = clip_weights(
-            motions.sources, length, usable, SET_WEIGHTS, self.span, self.visit)
+            motions.sources, length, usable, shares, self.span, self.visit)
         self.length = length.long()
         self.place = usual_place(motions.offsets)
         b = batch

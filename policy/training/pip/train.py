@@ -24,7 +24,7 @@ from posed_mocap import store as stores
 from . import motion
 from .checkpoint import build_model
 from .evaluate import table
-from .lanes import Lanes
+from .lanes import SET_WEIGHTS, Lanes
 from .losses import losses, total
 from .model import select
 
@@ -40,6 +40,8 @@ def arguments():
     parser.add_argument("--mocap", required=True, help="folder of the shared .npz sets")
     parser.add_argument("--sets", default=",".join(stores.TRAIN_SETS))
     parser.add_argument("--cache", default=stores.default_cache())
+    parser.add_argument("--sitting", type=float, default=SET_WEIGHTS["sitting"],
+                        help="share of made-up sitters, beside about 1 of the other sets together")
     parser.add_argument("--out", required=True, help="folder of checkpoints and logs")
     parser.add_argument("--start", help="checkpoint to begin from where --out has none")
     parser.add_argument("--model", default="small")
@@ -65,7 +67,9 @@ class Run:
         torch.manual_seed(args.seed)
         torch.set_float32_matmul_precision("medium")
         motions = motion.cached(args.mocap, args.cache, args.sets.split(","), ["train"])
-        self.lanes = Lanes(motions, args.batch, args.frames, args.seed, args.stride)
+        shares = {**SET_WEIGHTS, "sitting": args.sitting}
+        self.lanes = Lanes(
+            motions, args.batch, args.frames, args.seed, args.stride, shares=shares)
         self.model = build_model(args.model)
         if args.no_initial:
             config = {**asdict(self.model.config), "initial": False}

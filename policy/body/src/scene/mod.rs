@@ -19,12 +19,14 @@
 
 mod ground;
 mod mjcf;
+mod samples;
 
 use glam::{DQuat, DVec3};
 use serde::{Deserialize, Serialize};
 
 pub use ground::{Ground, Surface};
 pub use mjcf::{write_assets, write_world};
+pub use samples::samples;
 
 /// A scene.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

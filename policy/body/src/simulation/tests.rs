@@ -2,68 +2,10 @@ use glam::{DQuat, DVec3};
 
 use super::*;
 use crate::character::{CharacterPose, HINGES, hinges_of};
-use crate::scene::{Ground, Object, Place};
+use crate::scene::{Object, Place, samples};
 
 fn character(stature: f64) -> Character {
     Character::of_height(stature).expect("a stature in range")
-}
-
-fn scenes() -> Vec<(&'static str, Scene)> {
-    let ground = |ground| Scene {
-        ground,
-        ..Scene::default()
-    };
-    let with = |object| Scene {
-        objects: vec![object],
-        ..Scene::default()
-    };
-    let (position, yaw) = ([0.1, 0.15, -0.4], 20.0);
-    let block = Object::Box {
-        size: [0.4, 0.3, 0.4],
-        position,
-        yaw,
-        mass: Some(6.0),
-    };
-    let ball = Object::Ball {
-        radius: 0.2,
-        position: [0.1, 0.2, -0.4],
-        mass: 0.6,
-    };
-    let chair = Object::Chair {
-        position: [0.0, 0.0, 0.35],
-        yaw: 0.0,
-        seat: 0.45,
-    };
-    vec![
-        ("floor", Scene::default()),
-        (
-            "slope",
-            ground(Ground::Slope {
-                degrees: 10.0,
-                heading: 30.0,
-            }),
-        ),
-        (
-            "rough",
-            ground(Ground::Rough {
-                amplitude: 0.15,
-                hills: 1.0,
-                seed: 3,
-            }),
-        ),
-        (
-            "steps",
-            ground(Ground::Steps {
-                start: 0.3,
-                rise: 0.15,
-                run: 0.3,
-                count: 5,
-            }),
-        ),
-        ("box", with(block)),
-        ("ball", with(ball)),
-        ("chair", with(chair)),
-    ]
 }
 
 /// A number in ±1 for a seed: the same for every run.
@@ -140,7 +82,7 @@ fn a_stiff_body_stands_on_both_feet() {
 
 #[test]
 fn random_torques_stay_finite_on_every_scene() {
-    for (name, scene) in scenes() {
+    for (name, scene) in samples() {
         let character = character(1.75);
         let mass = character.mass();
         let torque: [f64; HINGES] = character.hinges.map(|hinge| hinge.torque);
@@ -166,7 +108,7 @@ fn random_torques_stay_finite_on_every_scene() {
 
 #[test]
 fn the_ground_is_where_the_scene_says() {
-    for (name, scene) in scenes().into_iter().take(4) {
+    for (name, scene) in samples().into_iter().take(4) {
         let ground = scene.ground;
         let model = Model::new(character(1.75), scene).expect(name);
         let mut state = model.state();

@@ -9,6 +9,7 @@ use serde::Deserialize;
 
 use super::{features::Builder, *};
 use crate::{
+    golden::close,
     inference::shared_runtime,
     tracker::{NO_INERTIAL, Quality, Wearer},
 };
@@ -43,16 +44,6 @@ impl Golden {
             head: place(0),
             hands: [hand(0), hand(1)],
         }
-    }
-}
-
-fn close(name: &str, frame: usize, found: &[f32], wanted: &[f32], bound: f32) {
-    for (index, (found, wanted)) in found.iter().zip(wanted).enumerate() {
-        let off = (found - wanted).abs();
-        assert!(
-            off < bound * (1.0 + wanted.abs()),
-            "{name} {index} of frame {frame}: {found}, not {wanted}"
-        );
     }
 }
 

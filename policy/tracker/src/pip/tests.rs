@@ -12,7 +12,7 @@ use super::{
     sensors::{Reading, SENSORS, Seen},
     *,
 };
-use crate::{inference::shared_runtime, tracker::NO_INERTIAL};
+use crate::{golden::close, inference::shared_runtime, tracker::NO_INERTIAL};
 
 /// Untrained networks of the smallest size, and what PyTorch makes of a made-up motion with them;
 /// written by policy/training/fixtures/tiny_pip.py.
@@ -42,16 +42,6 @@ impl Golden {
                 accel: Vec3::from_slice(&self.sensor_acceleration[3 * index..]),
             })
         }))
-    }
-}
-
-fn close(name: &str, frame: usize, found: &[f32], wanted: &[f32], bound: f32) {
-    for (index, (found, wanted)) in found.iter().zip(wanted).enumerate() {
-        let off = (found - wanted).abs();
-        assert!(
-            off < bound * (1.0 + wanted.abs()),
-            "{name} {index} of frame {frame}: {found}, not {wanted}"
-        );
     }
 }
 

@@ -74,6 +74,6 @@ doc: native
 # The embedded capture, and its truth for the tests; to be made again when the simulator changes.
 assets: native
 	cargo run --release --locked -p posed -- simulate --seed 1 --seconds 30 \
-		--out daemon/assets/demo.pcap.gz --base-stations daemon/assets/demo-base-stations.json \
+		--out daemon/assets/demo.pcap.gz --base-stations tests/assets/demo-base-stations.json \
 		--truth tests/assets/demo-truth.jsonl
 	gzip --best --no-name --force tests/assets/demo-truth.jsonl

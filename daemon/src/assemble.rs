@@ -4,22 +4,22 @@ use posed_device::{
     rig::{self, Rig},
     transport::Transport,
 };
-use posed_signal::{
-    latest::latest,
-    ring::{Producer, ring},
-};
+use posed_signal::{latest::latest, ring::ring};
 use posed_tracker::{Tracker, TrackerKind};
 
 use crate::{
+    control::Requests,
     heights::Heights,
     pipeline::{
         source::Source,
-        tracking::{Inputs, Request, Setup, TrackerLoop},
+        tracking::{Inputs, Setup, TrackerLoop},
     },
 };
 
 /// Requests that may wait for the tracker's next tick.
 const REQUESTS_MAX: usize = 64;
+/// Buzzes that may wait for the thread that owns the devices.
+const BUZZES_MAX: usize = 16;
 
 /// What the parts are told.
 pub struct Options {
@@ -68,8 +68,8 @@ pub struct Assembly {
     pub source: Source,
     /// The tracker loop: another's.
     pub tracker: TrackerLoop,
-    /// The way of requests to the tracker.
-    pub requests: Producer<Request>,
+    /// The ways of requests to both.
+    pub requests: Requests,
 }
 
 /// Joins a transport, a rig and a tracker loop.
@@ -92,14 +92,18 @@ pub fn assemble_with(transport: Box<dyn Transport>, rig: rig::Settings, setup: S
     let (rig, rings) = Rig::new(rig);
     let (roles_writer, roles) = latest();
     let (requests, requests_in) = ring(REQUESTS_MAX);
+    let (buzzes, buzzes_in) = ring(BUZZES_MAX);
     let inputs = Inputs {
         rings,
         roles,
         requests: requests_in,
     };
     Assembly {
-        source: Source::new(transport, rig, roles_writer),
+        source: Source::new(transport, rig, roles_writer, buzzes_in),
         tracker: TrackerLoop::new(inputs, setup),
-        requests,
+        requests: Requests {
+            tracker: requests,
+            buzzes,
+        },
     }
 }

@@ -53,6 +53,8 @@ pub enum Command {
     Tracker(TrackerArgs),
     /// Have a running posed learn how trackers sit on the body, from a stance.
     Calibrate(CalibrateArgs),
+    /// Have a controller of a running posed buzz.
+    Vibrate(VibrateArgs),
     /// List the devices on this PC that posed knows.
     List(ListArgs),
     /// Replay the embedded capture, serve it, follow it, and show what happens.
@@ -324,6 +326,88 @@ pub struct CalibrateArgs {
     pub server: ServerArgs,
 }
 
+/// Arguments of `posed vibrate`.
+#[derive(Debug, Args)]
+pub struct VibrateArgs {
+    /// Its role (left_hand) or its serial number.
+    pub device: String,
+    /// How long.
+    #[arg(long, value_name = "SECONDS", default_value_t = 0.3)]
+    pub seconds: f32,
+    /// How fast.
+    #[arg(long, value_name = "HZ", default_value_t = 160.0)]
+    pub frequency: f32,
+    /// How strongly, 0 to 1.
+    #[arg(long, value_name = "SHARE", default_value_t = 1.0)]
+    pub strength: f32,
+    /// Whom to ask.
+    #[command(flatten)]
+    pub server: ServerArgs,
+}
+
+/// Base stations of a simulated room.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum Room {
+    /// One of generation 2.
+    One,
+    /// Two of generation 2 in opposite corners.
+    Two,
+    /// Four of generation 2, one in each corner.
+    Four,
+    /// Two of generation 1 in opposite corners.
+    FirstGeneration,
+}
+
+/// What goes wrong in a simulated room.
+#[derive(Debug, Args)]
+pub struct RoomArgs {
+    /// Which base stations there are.
+    #[arg(long, value_enum, default_value = "two")]
+    pub room: Room,
+    /// The wearer's body does not stand in the light.
+    #[arg(long)]
+    pub no_occlusion: bool,
+    /// Share of hits that are reflections, 0 to 1.
+    #[arg(long, value_name = "SHARE", default_value = "0.001", value_parser = parse_share)]
+    pub reflections: f64,
+    /// No device sees any light in this span, seconds. May be given several times.
+    #[arg(long, value_name = "FROM-TO", value_parser = parse_span)]
+    pub dark: Vec<Span>,
+    /// Somebody moves the second base station by 30 cm and turns it by 6 degrees, at so many
+    /// seconds.
+    #[arg(long, value_name = "SECONDS")]
+    pub move_station: Option<f64>,
+    /// The second base station is switched on only then.
+    #[arg(long, value_name = "SECONDS")]
+    pub late_station: Option<f64>,
+    /// The last base station is set to the first one's channel.
+    #[arg(long)]
+    pub share_channel: bool,
+    /// Standard deviation of device clocks from 48 MHz, parts in a million.
+    #[arg(long, value_name = "PPM", default_value_t = 20.0)]
+    pub drift: f64,
+    /// Share of their packets that controllers lose by radio, 0 to 1.
+    #[arg(long, value_name = "SHARE", default_value = "0.015", value_parser = parse_share)]
+    pub radio_loss: f64,
+}
+
+/// Begin and end, seconds.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Span(pub [f64; 2]);
+
+fn parse_span(text: &str) -> Result<Span, String> {
+    let wrong = || "give a begin and an end in seconds, as 3-3.2".to_owned();
+    let (begin, end) = text.split_once('-').ok_or_else(wrong)?;
+    let number = |text: &str| text.parse::<f64>().map_err(|_| wrong());
+    let span = [number(begin)?, number(end)?];
+    // NaN is before nothing.
+    if span[0] < span[1] {
+        Ok(Span(span))
+    } else {
+        Err(wrong())
+    }
+}
+
 /// Arguments of `posed simulate`.
 #[derive(Debug, Args)]
 pub struct SimulateArgs {
@@ -346,9 +430,12 @@ pub struct SimulateArgs {
     /// them, or `six` for pelvis, shanks, forearms and head.
     #[arg(long, value_name = "ROLES", value_parser = parse_roles)]
     pub trackers: Option<Roles>,
-    /// Share of their packets that the radio loses, 0 to 1.
+    /// Share of their packets that the trackers' receiver loses, 0 to 1.
     #[arg(long, value_name = "SHARE", default_value = "0", value_parser = parse_share)]
     pub loss: f64,
+    /// The room.
+    #[command(flatten)]
+    pub room: RoomArgs,
     /// Begin with the stances of a calibration: straight, t-pose and crouch, held around 1.5, 5.5
     /// and 9.5 s. The motion begins after 12 s.
     #[arg(long)]
@@ -667,5 +754,9 @@ mod tests {
         assert_eq!(parse_speed("max"), Ok(Speed::Max));
         assert_eq!(parse_speed("2.5"), Ok(Speed::Times(2.5)));
         assert!(parse_speed("0").is_err() && parse_speed("NaN").is_err());
+        assert_eq!(parse_span("3-3.2"), Ok(Span([3.0, 3.2])));
+        for wrong in ["3", "3-", "4-3", "-1-2", "NaN-5"] {
+            assert!(parse_span(wrong).is_err(), "{wrong}");
+        }
     }
 }

@@ -1,5 +1,5 @@
-//! The way of requests to the tracker, for everybody who may make them: gRPC, the page, the
-//! command line.
+//! The way of requests to the tracker and to the devices, for everybody who may make them: gRPC, the
+//! page, the command line.
 
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
@@ -7,12 +7,25 @@ use posed_signal::ring::Producer;
 use posed_tracker::{TrackerKind, Wearer};
 use tokio::sync::watch;
 
-use crate::{config::HEIGHT_M, heights::Heights, pipeline::tracking::Request};
+use crate::{
+    config::HEIGHT_M,
+    heights::Heights,
+    pipeline::{source::Buzz, tracking::Request},
+};
+
+/// The ways in.
+#[derive(Debug)]
+pub struct Requests {
+    /// To the tracker's thread, which takes them at its next tick.
+    pub tracker: Producer<Request>,
+    /// To the thread that owns the devices.
+    pub buzzes: Producer<Buzz>,
+}
 
 /// Hands requests on, one after the other, and tells those who must know.
 #[derive(Debug)]
 pub struct Control {
-    requests: Mutex<Producer<Request>>,
+    requests: Mutex<Requests>,
     wearer: watch::Sender<Wearer>,
     heights: watch::Sender<Heights>,
     resets: watch::Sender<u64>,
@@ -65,7 +78,7 @@ pub enum Refusal {
 impl Control {
     /// Requests go into `requests`; another body is told to `wearer`.
     #[must_use]
-    pub fn new(requests: Producer<Request>, wearer: watch::Sender<Wearer>, known: Known) -> Self {
+    pub fn new(requests: Requests, wearer: watch::Sender<Wearer>, known: Known) -> Self {
         Self {
             requests: Mutex::new(requests),
             wearer,
@@ -99,7 +112,7 @@ impl Control {
             }
             _ => {}
         }
-        if !self.lock().push(request) {
+        if !self.lock().tracker.push(request) {
             return Err(Refusal::Busy);
         }
         match request {
@@ -136,6 +149,15 @@ impl Control {
         self.wearer.send_replace(heights.body());
     }
 
+    /// Has a device buzz, as soon as the thread that owns it looks.
+    ///
+    /// # Errors
+    /// Too many are waiting.
+    pub fn buzz(&self, buzz: Buzz) -> Result<(), Refusal> {
+        let pushed = self.lock().buzzes.push(buzz);
+        pushed.then_some(()).ok_or(Refusal::Busy)
+    }
+
     /// What to say to somebody who wants a tracker that is not there.
     #[must_use]
     pub fn no_tracker(&self, name: &str) -> Refusal {
@@ -147,7 +169,7 @@ impl Control {
     }
 
     /// Requests go into `requests` from now on: another tracker loop has taken over.
-    pub fn renew(&self, requests: Producer<Request>) {
+    pub fn renew(&self, requests: Requests) {
         *self.lock() = requests;
     }
 
@@ -170,7 +192,7 @@ impl Control {
     }
 
     /// Nothing half-done can be left behind in a ring.
-    fn lock(&self) -> MutexGuard<'_, Producer<Request>> {
+    fn lock(&self) -> MutexGuard<'_, Requests> {
         self.requests.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
@@ -192,23 +214,28 @@ pub(crate) mod tests {
         }
     }
 
-    /// A control of `ik` and `pip` with one thing in the scene and room for two requests, and its
-    /// other end.
-    pub(crate) fn control(wearer: watch::Sender<Wearer>) -> (Control, Consumer<Request>) {
-        let (producer, consumer) = ring(2);
+    /// A control of `ik` and `pip` with one thing in the scene and room for two requests of either
+    /// kind, and its other ends.
+    pub(crate) fn control(
+        wearer: watch::Sender<Wearer>,
+    ) -> (Control, Consumer<Request>, Consumer<Buzz>) {
+        let (tracker, tracker_end) = ring(2);
+        let (buzzes, buzzes_end) = ring(2);
+        let requests = Requests { tracker, buzzes };
         let known = Known {
             heights: Heights::of(wearer.borrow().height),
             tracker: TrackerKind::Ik,
             trackers: vec![TrackerKind::Ik, TrackerKind::Pip],
             objects: 1,
         };
-        (Control::new(producer, wearer, known), consumer)
+        let control = Control::new(requests, wearer, known);
+        (control, tracker_end, buzzes_end)
     }
 
     #[test]
     fn requests_arrive_in_order_and_too_many_are_refused() {
         let (wearer, seen) = watch::channel(Wearer::of_height(1.75));
-        let (control, mut consumer) = control(wearer);
+        let (control, mut consumer, _) = control(wearer);
         let resets = control.resets();
         assert_eq!(control.request(height(1.6)), Ok(()));
         assert_eq!(control.request(Request::Tracker(TrackerKind::Pip)), Ok(()));
@@ -227,7 +254,7 @@ pub(crate) mod tests {
     #[test]
     fn the_body_is_as_tall_as_the_avatar() {
         let (wearer, seen) = watch::channel(Wearer::of_height(1.75));
-        let (control, mut consumer) = control(wearer);
+        let (control, mut consumer, _) = control(wearer);
         let tall = Request::Height {
             metres: 1.6,
             avatar: Avatar::Metres(2.0),
@@ -261,7 +288,7 @@ pub(crate) mod tests {
 
     #[test]
     fn what_makes_no_sense_is_refused_in_words() {
-        let (control, mut consumer) = control(watch::Sender::new(Wearer::of_height(1.75)));
+        let (control, mut consumer, _) = control(watch::Sender::new(Wearer::of_height(1.75)));
         for metres in [0.5, 3.0, f32::NAN, f32::INFINITY] {
             let refusal = control.request(height(metres)).unwrap_err();
             assert!(refusal.to_string().contains("give 1 to 2.5"), "{refusal}");

@@ -48,6 +48,7 @@ fn run(command: &Command) -> Result<(), CommandError> {
         Command::Height(args) => control::height(args),
         Command::Tracker(args) => control::tracker(args),
         Command::Calibrate(args) => control::calibrate(args),
+        Command::Vibrate(args) => commands::vibrate::run(args),
         Command::Simulate(args) => commands::simulate::run(args),
         Command::Follow(args) => commands::follow::run(args),
         Command::List(args) => commands::list::run(args),

@@ -2,6 +2,7 @@
 //! Everything that leaves the daemon (gRPC, files, other protocols) is made from these.
 
 use posed_body::{BodyPose, Joints};
+use posed_device::trouble::Trouble;
 use posed_signal::{Battery, DeviceId, HostTime, Lookup, Pose, Radio, Role, Serial};
 use posed_tracker::{Forces, ObjectPose, Objects, Quality, Recoveries, TrackerKind, worn};
 use serde::{Serialize, Serializer, ser::SerializeStruct as _};
@@ -188,6 +189,14 @@ pub struct DeviceState {
     pub errors: u64,
     /// Samples lost because a queue was full.
     pub dropped: u64,
+    /// Whether it can buzz.
+    pub has_haptics: bool,
+    /// Buzzes sent to it.
+    pub haptics: u64,
+    /// Buzzes that it could not be sent.
+    pub haptics_dropped: u64,
+    /// What keeps it from being tracked well, now.
+    pub troubles: Vec<Trouble>,
     /// The last pose solved; its residual and how it came about are in it.
     pub pose: Option<Pose>,
 }

@@ -8,15 +8,14 @@ use std::{
 };
 
 use posed_device::rig::DeviceInfo;
-use posed_signal::{Clock, HostTime, PoseHow, ring::Producer, time::MILLISECOND_NS};
+use posed_signal::{Clock, HostTime, PoseHow, time::MILLISECOND_NS};
 use tokio::{runtime, sync::watch, task::JoinHandle};
 
 use crate::{
     config::Grpc,
-    control::{Control, Known},
+    control::{Control, Known, Requests},
     grpc::{self, Hub, ListenError, Listeners, PoseSink, Services},
     output::record::Recorder,
-    pipeline::tracking::Request,
     published::DeviceState,
 };
 
@@ -50,8 +49,8 @@ pub struct Setup<'a> {
     pub recordings: Option<PathBuf>,
     /// Poses a second.
     pub rate_hz: f64,
-    /// The way of requests to the tracker.
-    pub requests: Producer<Request>,
+    /// The ways of requests to tracker and devices.
+    pub requests: Requests,
     /// What can be asked of it, and what holds at first.
     pub known: Known,
     /// What poses' times are told by.
@@ -226,6 +225,10 @@ fn state(device: &DeviceInfo, past: &mut Past, now: HostTime, seconds: f32) -> D
         packets: counters.packets,
         errors: counters.decode_errors,
         dropped: counters.dropped,
+        has_haptics: device.identity.has_haptics,
+        haptics: counters.haptics,
+        haptics_dropped: counters.haptics_dropped,
+        troubles: device.troubles.clone(),
         pose: device.pose,
     }
 }

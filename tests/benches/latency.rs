@@ -84,7 +84,7 @@ fn trackers_options() -> Result<Options, posed_tracker::inference::InferenceErro
 }
 
 fn options() -> Options {
-    demo::options().expect("the embedded base stations can be read")
+    demo::options()
 }
 
 fn replay() -> Replay {

@@ -19,7 +19,7 @@ use posed::{
     clock::Monotonic,
     commands::demo,
     config::{self, Grpc, Loopback, UnixSocket},
-    control::Known,
+    control::{Known, Requests},
     follow::{Follower, Late, Server},
     grpc::PoseSink,
     heights::Heights,
@@ -29,10 +29,7 @@ use posed::{
         start::start,
     },
     page::{self, Page},
-    pipeline::{
-        live::{Shared, spawn_source, spawn_tracker},
-        tracking::Request,
-    },
+    pipeline::live::{Shared, spawn_source, spawn_tracker},
     published::PublishedPose,
     serving::{Serving, Setup},
 };
@@ -41,7 +38,7 @@ use posed_device::{
     transport::{Event, Replay, Transport, TransportError},
     usb::Port,
 };
-use posed_signal::{Clock as _, HostTime, ring::Producer, time::SECOND_NS};
+use posed_signal::{Clock as _, HostTime, time::SECOND_NS};
 use posed_tracker::TrackerKind;
 
 const RATE_HZ: f64 = 90.0;
@@ -66,7 +63,7 @@ fn main() {
 
 /// Runs source and tracker; answers when each tick began.
 fn ticks(outputs: Option<&Arc<AtomicU64>>) -> (Vec<HostTime>, Arc<Shared>) {
-    let options = demo::options().expect("the embedded base stations can be read");
+    let options = demo::options();
     let transport = Paced {
         inner: demo::replay().expect("the embedded capture can be read"),
         pending: None,
@@ -198,7 +195,7 @@ struct Outputs {
 }
 
 impl Outputs {
-    fn start(requests: Producer<Request>, received: &Arc<AtomicU64>) -> (PoseSink, Self) {
+    fn start(requests: Requests, received: &Arc<AtomicU64>) -> (PoseSink, Self) {
         let folder = tempfile::tempdir().expect("a folder");
         let socket = folder.path().join("posed.sock");
         let grpc = Grpc {

@@ -6,12 +6,12 @@ use flate2::read::GzDecoder;
 use glam::{Quat, Vec3};
 use posed::{
     assemble::{Assembly, Options, assemble},
-    commands::demo::{options, replay},
+    commands::demo::{HEIGHT, options, replay},
     pipeline::source::Taken,
 };
 use posed_body::scene::Scene;
-use posed_device::transport::Event;
-use posed_signal::{HostTime, Role, VirtualClock};
+use posed_device::{lighthouse::base_station::parse_libsurvive, transport::Event};
+use posed_signal::{HostTime, PoseHow, Role, VirtualClock};
 use posed_tracker::TrackerKind;
 use serde_json::Value;
 
@@ -24,8 +24,11 @@ use crate::{
 /// True poses of the devices and the body, beside the embedded capture.
 static TRUTH: &[u8] = include_bytes!("../assets/demo-truth.jsonl.gz");
 
+/// The base stations of the simulation: with them, poses are in the truth's world.
+static BASE_STATIONS: &str = include_str!("../assets/demo-base-stations.json");
+
 fn run() -> Run {
-    Run::of(replay().expect("embedded"), options().expect("embedded"))
+    Run::of(replay().expect("embedded"), options())
 }
 
 /// The lines of the truth.
@@ -49,9 +52,46 @@ fn the_same_capture_gives_the_same_poses() {
     assert_eq!(first.poses, second.poses);
 }
 
+/// Nobody tells where the base stations stand, nor where the floor is.
+#[test]
+fn the_room_is_found_by_its_light() {
+    let run = run();
+    assert!(run.warnings.is_empty(), "{:?}", run.warnings);
+    for role in [Role::Head, Role::LeftHand, Role::RightHand] {
+        let device = run.devices.iter().find(|device| device.role == role);
+        let device = device.expect("all are there");
+        let from = run.span.start.plus_secs(3.0);
+        let poses = run.device_poses(device.id).filter(|pose| pose.at > from);
+        let (mut all, mut optical) = (0u32, 0u32);
+        for pose in poses {
+            all += 1;
+            optical += u32::from(pose.how == PoseHow::Optical);
+        }
+        let share = f64::from(optical) / f64::from(all);
+        println!("{role}: {share:.4} of the time tracked");
+        assert!(share > 0.99, "{role}: {share}");
+    }
+    // The wearer stands at first; the eyes are where those of somebody so tall are.
+    let pose = run
+        .poses
+        .iter()
+        .find(|pose| pose.target_at > run.span.start.plus_secs(3.0));
+    let parts = pose.expect("there are poses").parts;
+    let head = parts[Role::Head as usize]
+        .value()
+        .expect("a headset")
+        .position
+        .y;
+    println!("head at {head:.3} m");
+    assert!((head - 0.936 * HEIGHT).abs() < 0.1, "{head}");
+}
+
 #[test]
 fn devices_are_where_they_truly_are() {
-    let run = run();
+    let mut options = options();
+    let stations = parse_libsurvive(BASE_STATIONS).expect("the base stations hold");
+    options.rig.devices.lighthouse.base_stations = stations;
+    let run = Run::of(replay().expect("embedded"), options);
     let truth = truth();
     for role in [Role::Head, Role::LeftHand, Role::RightHand] {
         let device = run
@@ -101,7 +141,7 @@ fn devices_are_where_they_truly_are() {
 
 #[test]
 fn the_tracker_loop_does_not_allocate() {
-    ticks_without_allocating(options().expect("embedded"));
+    ticks_without_allocating(options());
     // ONNX Runtime allocates in C++, out of this allocator's sight; the rest of the tracker is
     // Rust.
     let tracker = models()
@@ -111,7 +151,7 @@ fn the_tracker_loop_does_not_allocate() {
     ticks_without_allocating(Options {
         trackers: vec![tracker],
         tracker: TrackerKind::HmdNemo,
-        ..options().expect("embedded")
+        ..options()
     });
 }
 

@@ -79,19 +79,21 @@ impl Run {
         found.unwrap_or_else(|| panic!("{serial} is not among {:?}", self.devices))
     }
 
+    /// All poses of a device.
+    pub(crate) fn device_poses(&self, device: DeviceId) -> impl Iterator<Item = &Pose> {
+        self.samples
+            .iter()
+            .filter_map(move |(id, sample)| match sample {
+                Sample::Pose(pose) if *id == device => Some(pose),
+                _ => None,
+            })
+    }
+
     /// The optical poses of a device, from `seconds` after the start on.
     pub(crate) fn optical(&self, device: DeviceId, seconds: f64) -> Vec<Pose> {
         let begin = self.span.start.plus_secs(seconds);
-        let pose = |(id, sample): &(DeviceId, Sample)| match sample {
-            Sample::Pose(pose) if *id == device => Some(*pose),
-            _ => None,
-        };
-        let optical = |pose: &Pose| pose.how == PoseHow::Optical && pose.at >= begin;
-        self.samples
-            .iter()
-            .filter_map(pose)
-            .filter(optical)
-            .collect()
+        let optical = |pose: &&Pose| pose.how == PoseHow::Optical && pose.at >= begin;
+        self.device_poses(device).filter(optical).copied().collect()
     }
 
     /// Share of ticks, from `seconds` after the start on, at which light stood behind the newest

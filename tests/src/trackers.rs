@@ -7,6 +7,7 @@ use std::{
 
 use posed::{
     assemble::{Options, assemble},
+    control::Requests,
     pipeline::{
         replay::{Watcher, replay},
         source::Source,
@@ -23,7 +24,7 @@ use posed_device::{
     transport::{Merge, Recording, Replay},
     usb::{Packet, Port},
 };
-use posed_signal::{DeviceId, HostTime, Lookup, Orientation, Role, Sample, Serial, ring::Producer};
+use posed_signal::{DeviceId, HostTime, Lookup, Orientation, Role, Sample, Serial};
 use posed_tracker::{Ik, Input, Tracked, Tracker, TrackerKind, worn::Stance};
 
 pub(crate) const WORN: [(Role, Joint); 6] = [
@@ -58,14 +59,14 @@ impl Tracker for Listener {
 
 /// Holds the three postures when the wearer does, and keeps the poses.
 pub(crate) struct Calibrating {
-    requests: Producer<Request>,
+    requests: Requests,
     start: Option<HostTime>,
     asked: usize,
     pub(crate) poses: Vec<PublishedPose>,
 }
 
 impl Calibrating {
-    pub(crate) fn new(requests: Producer<Request>) -> Self {
+    pub(crate) fn new(requests: Requests) -> Self {
         Self {
             requests,
             start: None,
@@ -81,7 +82,7 @@ impl Watcher for Calibrating {
         if let Some(&posture) = Stance::ALL.get(self.asked)
             && time.since_secs(start) >= postures::middle(posture) - 0.5
         {
-            self.requests.push(Request::Calibrate(posture));
+            self.requests.tracker.push(Request::Calibrate(posture));
             self.asked += 1;
         }
         true

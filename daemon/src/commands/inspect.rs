@@ -8,6 +8,7 @@ use posed_device::{
     joycon,
     lighthouse::inspect::{Inspector, Report},
     slimevr,
+    trouble::Trouble,
     usb::{Packet, Port, UsbId},
 };
 use posed_signal::HostTime;
@@ -233,6 +234,7 @@ impl Found {
             "inputs": report.inputs,
             "battery_percent": report.battery.map(|(percent, _)| percent),
             "channels": channels(&report),
+            "troubles": shared(&report).map(|trouble| trouble.to_string()).collect::<Vec<_>>(),
             "configuration": configuration,
         })
     }
@@ -299,6 +301,9 @@ impl Found {
                 seen.sweeps, seen.syncs
             );
         }
+        for trouble in shared(&report) {
+            let _ = writeln!(text, "  trouble: {trouble}");
+        }
         if let Some(configuration) = &report.configuration {
             let _ = writeln!(
                 text,
@@ -307,6 +312,12 @@ impl Found {
             );
         }
     }
+}
+
+/// Channels that two base stations share.
+fn shared(report: &Report) -> impl Iterator<Item = Trouble> {
+    let stations = report.stations.iter().filter(|(_, seen)| seen.shared);
+    stations.map(|(source, _)| Trouble::Shared(*source))
 }
 
 fn channels(report: &Report) -> Value {

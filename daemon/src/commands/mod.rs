@@ -17,6 +17,7 @@ pub mod setup;
 pub mod simulate;
 mod summary;
 pub mod survey;
+pub mod vibrate;
 
 use std::{io, path::Path};
 

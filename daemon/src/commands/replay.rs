@@ -28,7 +28,6 @@ use crate::{
     cli::{Calibration, OutputArgs, ReplayArgs, Speed},
     clock::Monotonic,
     output::jsonl::JsonLines,
-    page::Station,
     pipeline::{
         playback::Playback,
         replay::{Watcher, replay},
@@ -73,8 +72,6 @@ pub fn run(args: &ReplayArgs) -> Result<(), CommandError> {
     let options = settings::options(&config)?;
     let open = opener(args.files.clone());
     let rig = options.rig.clone();
-    let stations = &options.rig.devices.lighthouse.base_stations;
-    let stations = stations.iter().map(Station::from).collect();
     let trackers = options.choices();
     let Assembly {
         mut source,
@@ -90,7 +87,12 @@ pub fn run(args: &ReplayArgs) -> Result<(), CommandError> {
         let playback = Arc::new(Playback::default());
         broadcast::measure(&open, &playback)?;
         let watched = settings::Watched::Replay(Arc::clone(&playback));
-        let outputs = settings::outputs(&config, &server, watched, stations)?;
+        let outputs = settings::outputs(
+            &config,
+            &server,
+            watched,
+            rig.devices.lighthouse.room.clone(),
+        )?;
         for name in server.names().iter().chain(&outputs) {
             tracing::info!("serving on {name}");
         }
@@ -108,7 +110,7 @@ pub fn run(args: &ReplayArgs) -> Result<(), CommandError> {
     } else {
         let mut requests = requests;
         let ask = move |request| {
-            requests.push(request);
+            requests.tracker.push(request);
         };
         watcher.calibrations = Some(Calibrations::new(calibrations, ask));
     }

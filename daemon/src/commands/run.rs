@@ -14,7 +14,6 @@ use crate::{
     cli::RunArgs,
     clock::Monotonic,
     notify::Notifier,
-    page::Station,
     pipeline::live::{Shared, spawn_source, spawn_tracker},
     room::{self, Keeper},
     serving::Listing,
@@ -32,10 +31,8 @@ const FIRST_TICK: Duration = Duration::from_secs(5);
 pub fn run(args: &RunArgs) -> Result<(), CommandError> {
     let config = settings::configuration(&args.body)?;
     let options = settings::options(&config)?;
-    let stations = &options.rig.devices.lighthouse.base_stations;
-    let stations = stations.iter().map(Station::from).collect();
-    let mut keeper = keeper(&options);
     let room = options.rig.devices.lighthouse.room.clone();
+    let mut keeper = keeper(&options);
     let (transport, stop) = live::transport()?;
     let trackers = options.choices();
     let Assembly {
@@ -47,7 +44,7 @@ pub fn run(args: &RunArgs) -> Result<(), CommandError> {
 
     let shared = Arc::new(Shared::default());
     let watched = settings::Watched::Live(Arc::clone(&shared));
-    let outputs = settings::outputs(&config, &serving, watched, stations)?;
+    let outputs = settings::outputs(&config, &serving, watched, room)?;
     let (devices, mut listing) = (serving.devices(), Listing::default());
     let list = move |infos: &[posed_device::rig::DeviceInfo]| {
         devices.send_replace(listing.states(infos, Monotonic.now()));
@@ -75,9 +72,6 @@ pub fn run(args: &RunArgs) -> Result<(), CommandError> {
         notifier.ticks(shared.ticks.load(Ordering::Acquire), Monotonic.now());
         if let Some(Err(error)) = keeper.as_mut().map(|keeper| keeper.look(Monotonic.now())) {
             tracing::warn!("the room cannot be kept: {error}");
-        }
-        for trouble in room.with(|room| room.take_troubles()) {
-            tracing::warn!("{trouble}");
         }
     }
     if let Some(Err(error)) = keeper.as_mut().map(Keeper::keep) {

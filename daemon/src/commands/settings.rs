@@ -12,7 +12,7 @@ use posed_device::{
     lighthouse::{self, room},
     rig,
 };
-use posed_signal::{Serial, ring::Producer};
+use posed_signal::Serial;
 use posed_tracker::{Ik, Physical, Tracker, TrackerKind, gather};
 
 use super::CommandError;
@@ -21,13 +21,13 @@ use crate::{
     cli::BodyArgs,
     clock::Monotonic,
     config::{self, Config},
-    control::Known,
+    control::{Known, Requests},
     grpc::PoseSink,
     heights::Heights,
     models::Models,
     output,
-    page::{self, Page, Station},
-    pipeline::{live::Shared, playback::Playback, tracking::Request},
+    page::{self, Page},
+    pipeline::{live::Shared, playback::Playback},
     serving::{self, Serving},
 };
 
@@ -163,7 +163,7 @@ pub(super) fn trackers(wanted: TrackerKind, scene: &Scene) -> Vec<Box<dyn Tracke
 /// A socket or a thread cannot be had.
 pub(super) fn serve(
     config: &Config,
-    requests: Producer<Request>,
+    requests: Requests,
     trackers: Vec<TrackerKind>,
 ) -> Result<(PoseSink, Serving), CommandError> {
     let runtime_dir = config::files::runtime_dir();
@@ -200,7 +200,7 @@ pub(super) fn outputs(
     config: &Config,
     serving: &Serving,
     watched: Watched,
-    stations: Vec<Station>,
+    room: room::Handle,
 ) -> Result<Vec<String>, CommandError> {
     let runtime = serving.runtime().handle();
     let services = serving.services();
@@ -216,7 +216,7 @@ pub(super) fn outputs(
         ticks,
         playback,
         rate_hz: config.tracker.rate_hz,
-        stations,
+        room,
     };
     names.extend(page::start(runtime, &config.page, page)?);
     Ok(names)

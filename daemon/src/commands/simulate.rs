@@ -6,16 +6,20 @@ use std::{
     path::Path,
 };
 
+use glam::{DQuat, DVec3};
 use indicatif::ProgressBar;
 use posed_device::{
     capture::{HidRecorderWriter, UsbmonOptions, UsbmonWriter, identity},
-    simulate::{SimulateError, Simulator, slimevr, write_libsurvive},
+    simulate::{
+        Absence, Move, Options, SimulateError, Simulator, default_stations, four_stations,
+        generation_one_stations, slimevr, write_libsurvive,
+    },
     usb::{Packet, Port},
 };
 
 use super::CommandError;
 use crate::{
-    cli::{CaptureFormat, SimulateArgs},
+    cli::{CaptureFormat, Room, RoomArgs, SimulateArgs},
     output::jsonl::JsonLines,
     postures, simulated,
 };
@@ -43,7 +47,8 @@ pub fn run(args: &SimulateArgs) -> Result<(), CommandError> {
         clip
     };
     let person = simulated::Person::new(&clip);
-    let options = person.options(args.seed, args.seconds);
+    let mut options = person.options(args.seed, args.seconds);
+    furnish(&mut options, &args.room)?;
     let (seconds, start) = (options.duration_s, options.start);
     let bad = |error: SimulateError| CommandError::Input(error.to_string());
     let receiver = args
@@ -93,6 +98,48 @@ pub fn run(args: &SimulateArgs) -> Result<(), CommandError> {
         receiver.into_iter().flatten(),
     );
     write(args, packets, seconds)
+}
+
+/// Puts a room around the wearer, with what goes wrong in it.
+fn furnish(options: &mut Options, args: &RoomArgs) -> Result<(), CommandError> {
+    options.stations = match args.room {
+        Room::One => default_stations().drain(..1).collect(),
+        Room::Two => default_stations(),
+        Room::Four => four_stations(),
+        Room::FirstGeneration => generation_one_stations(),
+    };
+    if args.no_occlusion {
+        options.occluders.clear();
+    }
+    options.light.reflection = args.reflections;
+    options.dark = args.dark.iter().map(|span| span.0).collect();
+    options.usb.drift_ppm = args.drift;
+    options.usb.radio_loss = args.radio_loss;
+    let second = options.stations.get(1).copied();
+    let needed = || CommandError::Input("that takes a room with more than one base station".into());
+    if let Some(at_s) = args.move_station {
+        let second = second.ok_or_else(needed)?;
+        options.moves.push(Move {
+            at_s,
+            source: second.source,
+            position: second.position + DVec3::new(-0.3, 0.0, 0.0),
+            rotation: DQuat::from_rotation_y(0.1) * second.rotation,
+        });
+    }
+    if let Some(seconds) = args.late_station {
+        options.absences.push(Absence {
+            source: second.ok_or_else(needed)?.source,
+            span: [0.0, seconds],
+        });
+    }
+    if args.share_channel {
+        second.ok_or_else(needed)?;
+        let first = options.stations[0].source;
+        if let Some(last) = options.stations.last_mut() {
+            last.source = first;
+        }
+    }
+    Ok(())
 }
 
 /// Both streams in the order of time.

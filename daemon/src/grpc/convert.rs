@@ -2,8 +2,12 @@
 
 use glam::{Quat, Vec3};
 use posed_body::{BodyPose, JOINTS, Joints, optimiser::FootForce, skeleton};
+use posed_device::{
+    haptic::{Haptic, HapticError},
+    trouble::Trouble,
+};
 use posed_proto::v1;
-use posed_signal::{Battery, HostTime, Lookup, Pose, PoseHow, Role};
+use posed_signal::{Battery, DeviceId, HostTime, Lookup, Pose, PoseHow, Role};
 use posed_tracker::{
     Forces, ObjectMove, ObjectPose, Objects, Quality, Recoveries, Stance, TrackerKind, Wearer,
 };
@@ -15,8 +19,12 @@ use crate::{
         names::Names,
         record::{Format, Recording, Wish},
     },
+    pipeline::source::Buzz,
     published::{DeviceState, PublishedPose},
 };
+
+/// A buzz unless told otherwise: seconds, Hz, strength.
+const BUZZ: [f32; 3] = [0.1, 160.0, 1.0];
 
 /// A message does not hold what the interface says.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -415,8 +423,47 @@ pub(super) fn device(device: &DeviceState) -> v1::Device {
         packets: device.packets,
         errors: device.errors,
         dropped: device.dropped,
+        has_haptics: device.has_haptics,
+        haptics: device.haptics,
+        haptics_dropped: device.haptics_dropped,
+        troubles: device.troubles.iter().map(trouble).collect(),
         pose: device.pose.as_ref().map(rigid_pose),
     }
+}
+
+fn trouble(trouble: &Trouble) -> v1::DeviceTrouble {
+    use v1::device_trouble::Kind;
+    let kind = match trouble {
+        Trouble::Dark => Kind::Dark,
+        Trouble::Unmeasured => Kind::Unmeasured,
+        Trouble::Alone(_) => Kind::Alone,
+        Trouble::New(_) => Kind::New,
+        Trouble::Moved(_) => Kind::Moved,
+        Trouble::Shared(_) => Kind::Shared,
+        Trouble::Unlisted(_) => Kind::Unlisted,
+        Trouble::Misplaced(_) => Kind::Misplaced,
+        Trouble::Contradicted => Kind::Contradicted,
+    };
+    let base_station = trouble.source().map(|source| source.to_string());
+    v1::DeviceTrouble {
+        kind: kind.into(),
+        base_station: base_station.unwrap_or_default(),
+        advice: trouble.to_string(),
+    }
+}
+
+/// A buzz asked for; absent numbers are those of a short, firm one.
+pub(super) fn to_buzz(wire: &v1::ApplyHapticsRequest) -> std::result::Result<Buzz, HapticError> {
+    let [seconds, hertz, strength] = BUZZ;
+    let device = u8::try_from(wire.device).unwrap_or(u8::MAX);
+    Ok(Buzz {
+        device: DeviceId(device),
+        haptic: Haptic::new(
+            wire.duration_s.unwrap_or(seconds),
+            wire.frequency_hz.unwrap_or(hertz),
+            wire.amplitude.unwrap_or(strength),
+        )?,
+    })
 }
 
 /// The wearer's skeleton as a message.
@@ -437,6 +484,11 @@ pub(super) fn skeleton(wearer: &Wearer) -> v1::Skeleton {
 /// The word for a tracker that a server names, also where this program does not know it.
 pub(crate) fn tracker_name(wire: v1::Tracker) -> &'static str {
     to_tracker(wire).map_or(wire.as_str_name(), TrackerKind::name)
+}
+
+/// A role's name, as the command line has it.
+pub(crate) fn role_name(wire: v1::Role) -> &'static str {
+    to_role(wire).name()
 }
 
 /// Stances, as `Calibrate` names them; `None` where none is named.
@@ -683,6 +735,13 @@ mod tests {
             packets: 1,
             errors: 2,
             dropped: 3,
+            has_haptics: true,
+            haptics: 4,
+            haptics_dropped: 5,
+            troubles: vec![
+                Trouble::Dark,
+                Trouble::Shared(posed_device::lighthouse::base_station::Source::Channel(3)),
+            ],
             pose: Some(Pose::unknown(HostTime(9))),
         };
         let wire = device(&state);
@@ -691,6 +750,12 @@ mod tests {
             (3, v1::Role::Head, "LHR-DFCF00EE")
         );
         assert_eq!((wire.packets, wire.errors, wire.dropped), (1, 2, 3));
+        assert_eq!((wire.haptics, wire.haptics_dropped), (4, 5));
+        assert_eq!(wire.troubles[0].kind(), v1::device_trouble::Kind::Dark);
+        assert_eq!(wire.troubles[0].base_station, "");
+        assert_eq!(wire.troubles[1].kind(), v1::device_trouble::Kind::Shared);
+        assert_eq!(wire.troubles[1].base_station, "channel 3");
+        assert!(wire.troubles[1].advice.contains("another channel"));
         assert_eq!(wire.pose.unwrap().tracking(), v1::Tracking::Lost);
 
         let wire = skeleton(&Wearer::of_height(1.8));

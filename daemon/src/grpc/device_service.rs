@@ -1,11 +1,12 @@
-//! `DeviceService`: the devices, now and whenever they change.
+//! `DeviceService`: the devices, now and whenever they change, and how to make one buzz.
 
 use std::{pin::Pin, time::Duration};
 
 use futures_util::{Stream, stream};
+use posed_device::haptic::HapticError;
 use posed_proto::v1::{
-    Device, ListDevicesRequest, ListDevicesResponse, WatchDevicesRequest, WatchDevicesResponse,
-    device_service_server::DeviceService,
+    ApplyHapticsRequest, ApplyHapticsResponse, Device, ListDevicesRequest, ListDevicesResponse,
+    WatchDevicesRequest, WatchDevicesResponse, device_service_server::DeviceService,
 };
 use tokio::{sync::watch, time};
 use tonic::{Request, Response, Status};
@@ -61,6 +62,28 @@ impl DeviceService for Devices {
             ))
         });
         Ok(Response::new(Box::pin(lists)))
+    }
+
+    async fn apply_haptics(
+        &self,
+        request: Request<ApplyHapticsRequest>,
+    ) -> Result<Response<ApplyHapticsResponse>, Status> {
+        let request = request.into_inner();
+        let buzz = convert::to_buzz(&request);
+        let buzz = buzz.map_err(|error| Status::invalid_argument(error.to_string()))?;
+        {
+            let devices = self.services.devices.borrow();
+            let named = |device: &&DeviceState| u32::from(device.id.0) == request.device;
+            let device = devices.iter().find(named).filter(|device| device.connected);
+            let gone = || Status::not_found(HapticError::NoDevice(buzz.device).to_string());
+            if !device.ok_or_else(gone)?.has_haptics {
+                let text = HapticError::NoMotor(buzz.device).to_string();
+                return Err(Status::failed_precondition(text));
+            }
+        }
+        let asked = self.services.control.buzz(buzz);
+        asked.map_err(|refusal| Status::resource_exhausted(refusal.to_string()))?;
+        Ok(Response::new(ApplyHapticsResponse {}))
     }
 }
 

@@ -41,12 +41,16 @@ pub(crate) mod tests {
     use posed_signal::{HostTime, ring::Consumer};
 
     use super::*;
-    use crate::{control::tests::control, pipeline::tracking::Request};
+    use crate::{
+        control::tests::control,
+        pipeline::{source::Buzz, tracking::Request},
+    };
 
     /// The other ends of what services are given.
     pub(crate) struct Ends {
         pub(crate) devices: watch::Sender<Vec<DeviceState>>,
         pub(crate) requests: Consumer<Request>,
+        pub(crate) buzzes: Consumer<Buzz>,
     }
 
     /// Services for the poses of `hub`, with a wearer of 1.8 m and a clock that stands at
@@ -54,7 +58,7 @@ pub(crate) mod tests {
     pub(crate) fn services(hub: &Hub, folder: Option<&Path>) -> (Services, Ends) {
         let (devices, devices_seen) = watch::channel(Vec::new());
         let (wearer, wearer_seen) = watch::channel(Wearer::of_height(1.8));
-        let (control, requests) = control(wearer);
+        let (control, requests, buzzes) = control(wearer);
         let services = Services {
             hub: hub.clone(),
             devices: devices_seen,
@@ -63,6 +67,11 @@ pub(crate) mod tests {
             control: Arc::new(control),
             recorder: Recorder::new(hub.clone(), folder.map(Into::into), 90.0),
         };
-        (services, Ends { devices, requests })
+        let ends = Ends {
+            devices,
+            requests,
+            buzzes,
+        };
+        (services, ends)
     }
 }

@@ -132,7 +132,7 @@ mod tests {
             ticks: None,
             playback: None,
             rate_hz: 90.0,
-            stations: Vec::new(),
+            room: Default::default(),
         };
         let wishes = [
             ("\"reset\"", Request::Reset),

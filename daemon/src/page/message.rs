@@ -6,7 +6,7 @@ use posed_tracker::{Mounts, TrackerKind};
 use serde::Serialize;
 use serde_json::{Value, json};
 
-use super::Page;
+use super::{Page, Station};
 use crate::published::{DeviceState, PublishedPose};
 
 /// Times of poses that are remembered for a browser between two messages.
@@ -86,11 +86,6 @@ fn how(part: &Lookup<Pose>) -> Option<(u8, Pose)> {
 
 /// What does not change while the page is open.
 pub(super) fn hello(page: &Page) -> Value {
-    let stations: Vec<_> = page
-        .stations
-        .iter()
-        .map(|station| json!({ "position": station.position, "rotation": station.rotation }))
-        .collect();
     json!({ "hello": {
         "version": env!("CARGO_PKG_VERSION"),
         "parents": skeleton::PARENTS,
@@ -98,7 +93,6 @@ pub(super) fn hello(page: &Page) -> Value {
         "tracker_names": TrackerKind::ALL.map(TrackerKind::name),
         "trackers": page.services.control.trackers().iter().map(|kind| kind.name()).collect::<Vec<_>>(),
         "rate_hz": page.rate_hz,
-        "stations": stations,
     }})
 }
 
@@ -119,6 +113,7 @@ struct Device<'a> {
     dropped: u64,
     how: Option<&'static str>,
     residual_rad: Option<f32>,
+    troubles: Vec<String>,
 }
 
 impl<'a> From<&'a DeviceState> for Device<'a> {
@@ -138,6 +133,7 @@ impl<'a> From<&'a DeviceState> for Device<'a> {
             dropped: state.dropped,
             how: state.pose.map(|pose| pose.how.name()),
             residual_rad: state.pose.map(|pose| pose.residual_rad),
+            troubles: state.troubles.iter().map(ToString::to_string).collect(),
         }
     }
 }
@@ -147,6 +143,9 @@ pub(super) fn status(page: &Page) -> Value {
     use std::sync::atomic::Ordering::Relaxed;
     let states = page.services.devices.borrow();
     let devices: Vec<_> = states.iter().map(Device::from).collect();
+    let stations: Vec<_> = page
+        .room
+        .with(|room| room.stations().map(Station::from).collect());
     let ticks = page.ticks.as_ref().map(|shared| {
         json!({
             "done": shared.ticks.load(Relaxed),
@@ -158,6 +157,7 @@ pub(super) fn status(page: &Page) -> Value {
     json!({ "status": {
         "height_m": page.services.control.heights().wearer,
         "devices": devices,
+        "stations": stations,
         "ticks": ticks,
         "starts": *page.services.control.resets().borrow(),
         "recording": page.services.recorder.recording().map(|recording| json!({

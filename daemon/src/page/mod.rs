@@ -20,7 +20,8 @@ use axum::{
     response::{IntoResponse, Response},
     routing::{get, post},
 };
-use posed_device::lighthouse::base_station::BaseStation;
+use posed_device::lighthouse::{base_station::BaseStation, room};
+use serde::Serialize;
 use tokio::{
     runtime::Handle,
     sync::{Semaphore, watch},
@@ -39,12 +40,12 @@ const WATCHERS_MAX: usize = 8;
 const BODY_BYTES_MAX: usize = 256;
 
 /// A base station, for the scene.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Station {
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+struct Station {
     /// In the world, metres.
-    pub position: [f32; 3],
+    position: [f32; 3],
     /// Its frame (looks along -Z) to the world.
-    pub rotation: [f32; 4],
+    rotation: [f32; 4],
 }
 
 impl From<&BaseStation> for Station {
@@ -77,8 +78,8 @@ pub struct Page {
     pub playback: Option<Arc<Playback>>,
     /// Poses a second that the tracker is set to.
     pub rate_hz: f64,
-    /// Base stations that are known.
-    pub stations: Vec<Station>,
+    /// Where base stations stand, as far as that is known.
+    pub room: room::Handle,
 }
 
 impl fmt::Debug for Page {

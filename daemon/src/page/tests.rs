@@ -46,7 +46,7 @@ impl Served {
             ticks: None,
             playback: None,
             rate_hz: 90.0,
-            stations: Vec::new(),
+            room: Default::default(),
         };
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
         let addr = listener.local_addr().unwrap();
@@ -164,7 +164,7 @@ async fn the_configuration_says_where_and_whether() {
             ticks: None,
             playback: None,
             rate_hz: 90.0,
-            stations: Vec::new(),
+            room: Default::default(),
         };
         (sink, page)
     };

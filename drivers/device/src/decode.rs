@@ -2,7 +2,7 @@
 
 use posed_signal::{HostTime, Role, Sample, Serial};
 
-use crate::usb::Packet;
+use crate::{haptic::Haptic, trouble::Trouble, usb::Packet};
 
 /// At most this many tracked devices hang on one USB device (a dongle pairs with one, a receiver
 /// for inertial trackers with many).
@@ -44,6 +44,8 @@ pub struct Identity {
     /// What the device is made for: a headset's is [`Role::Head`], a left controller's
     /// [`Role::LeftHand`], a tracker's [`Role::None`].
     pub natural_role: Role,
+    /// Whether it can buzz.
+    pub has_haptics: bool,
 }
 
 /// Where decoders put what they find. `unit` counts the tracked devices behind one USB device.
@@ -94,4 +96,12 @@ pub trait Decoder: Send {
     /// Start-up requests, retries and keep-alives live here, so that nothing depends on who reads
     /// the device, or how.
     fn tick(&mut self, now: HostTime, commands: &mut Vec<Command>);
+
+    /// Adds what keeps a unit from being tracked well, now.
+    fn troubles(&self, _unit: usize, _troubles: &mut Vec<Trouble>) {}
+
+    /// Has a unit buzz: adds what to send to it. `false` where it cannot.
+    fn buzz(&mut self, _unit: usize, _haptic: &Haptic, _commands: &mut Vec<Command>) -> bool {
+        false
+    }
 }

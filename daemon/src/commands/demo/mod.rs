@@ -16,10 +16,10 @@ use std::{
 use posed_body::scene::Scene;
 use posed_device::{
     capture,
-    lighthouse::base_station::parse_libsurvive,
+    lighthouse::room,
     transport::{Merge, Recording, Replay},
 };
-use posed_signal::{Clock as _, DeviceId, HostTime, Sample, ring::Producer};
+use posed_signal::{Clock as _, DeviceId, HostTime, Sample};
 use posed_tracker::TrackerKind;
 
 use super::{
@@ -32,15 +32,14 @@ use crate::{
     cli::DemoArgs,
     clock::Monotonic,
     config::{self, Grpc, Loopback, UnixSocket},
-    control::Known,
+    control::{Known, Requests},
     grpc::PoseSink,
     heights::Heights,
-    page::{self, Page, Station},
+    page::{self, Page},
     pipeline::{
         playback::Playback,
         replay::{Watcher, replay as run_replay},
         source::Source,
-        tracking::Request,
     },
     published::PublishedPose,
     serving::{self, Serving},
@@ -50,8 +49,6 @@ use screen::Screen;
 /// The embedded capture: USB traffic of a simulated Index headset and two Index controllers on
 /// somebody who stands, walks, turns, squats, reaches and waves (`make assets`).
 pub static CAPTURE: &[u8] = include_bytes!("../../../assets/demo.pcap.gz");
-/// Its base stations, in libsurvive's JSON.
-pub static BASE_STATIONS: &str = include_str!("../../../assets/demo-base-stations.json");
 /// Height of the simulated wearer, metres.
 pub const HEIGHT: f32 = 1.75;
 /// What works out the body, if it can be had.
@@ -74,18 +71,17 @@ pub fn replay() -> Result<Replay, CommandError> {
     Ok(Replay::new(vec![recording], Merge::OneSession))
 }
 
-/// What tracks the embedded capture, with the tracker that needs no model.
-///
-/// # Errors
-/// The embedded base stations cannot be read.
-pub fn options() -> Result<Options, CommandError> {
-    let mut options = Options {
+/// What tracks the embedded capture, with the tracker that needs no model. The base stations are
+/// found by their light.
+#[must_use]
+pub fn options() -> Options {
+    let options = Options {
         heights: Heights::of(HEIGHT),
         ..Options::default()
     };
-    options.rig.devices.lighthouse.base_stations = parse_libsurvive(BASE_STATIONS)
-        .map_err(|error| CommandError::Input(format!("embedded base stations: {error}")))?;
-    Ok(options)
+    let room = &options.rig.devices.lighthouse.room;
+    room.with(|room| room.set_stature(f64::from(HEIGHT)));
+    options
 }
 
 /// Replays the embedded capture at real speed, serves it, follows it over gRPC and shows that.
@@ -97,11 +93,10 @@ pub fn run(args: &DemoArgs) -> Result<(), CommandError> {
     let options = Options {
         trackers: settings::trackers(TRACKER, &Scene::default()),
         tracker: TRACKER,
-        ..options()?
+        ..options()
     };
     let rig = options.rig.clone();
-    let stations = &rig.devices.lighthouse.base_stations;
-    let stations = stations.iter().map(Station::from).collect();
+    let room = rig.devices.lighthouse.room.clone();
     let trackers = options.choices();
     let open: Open = Arc::new(|| Ok(Box::new(replay()?)));
     let Assembly {
@@ -118,7 +113,7 @@ pub fn run(args: &DemoArgs) -> Result<(), CommandError> {
     let screen = Screen::follow(serving.runtime(), &socket(&folder), devices, terminal);
     let playback = Arc::new(Playback::default());
     broadcast::measure(&open, &playback)?;
-    match page(args, &serving, &playback, stations) {
+    match page(args, &serving, &playback, room) {
         Ok(Some(url)) => println!("the live page is at {url}"),
         Ok(None) => {}
         // Another posed may be running; the demo goes on without its page.
@@ -163,7 +158,7 @@ fn socket(folder: &Path) -> PathBuf {
 fn serve(
     args: &DemoArgs,
     folder: &Path,
-    requests: Producer<Request>,
+    requests: Requests,
     trackers: Vec<TrackerKind>,
 ) -> Result<(PoseSink, Serving), CommandError> {
     let grpc = Grpc {
@@ -191,14 +186,14 @@ fn page(
     args: &DemoArgs,
     serving: &Serving,
     playback: &Arc<Playback>,
-    stations: Vec<Station>,
+    room: room::Handle,
 ) -> Result<Option<String>, page::PageError> {
     let page = Page {
         services: serving.services().clone(),
         ticks: None,
         playback: Some(Arc::clone(playback)),
         rate_hz: RATE_HZ,
-        stations,
+        room,
     };
     let mut config = config::Page::default();
     config.listen = args.page.or(config.listen);

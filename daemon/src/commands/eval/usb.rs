@@ -153,7 +153,8 @@ fn from_bytes(
         wearer,
         horizon_ns: 0,
     };
-    let mut source = Source::new(Box::new(transport), rig, roles_writer);
+    let (_buzzes, buzzes) = ring(1);
+    let mut source = Source::new(Box::new(transport), rig, roles_writer, buzzes);
     let mut tracker = TrackerLoop::new(inputs, setup);
     let mut poses = Poses {
         start,

@@ -16,7 +16,7 @@ use crate::{
         Hub, Listeners, PoseSink, ServeError, serve,
         services::tests::{Ends, services},
     },
-    pipeline::tracking::Request,
+    pipeline::{source::Buzz, tracking::Request},
     published::{DeviceState, PublishedPose, tests::pose_at},
 };
 
@@ -33,6 +33,7 @@ pub(super) struct Fixture {
     stop: Option<oneshot::Sender<()>>,
     server: JoinHandle<Result<(), ServeError>>,
     pub(super) requests: Consumer<Request>,
+    pub(super) buzzes: Consumer<Buzz>,
     _folder: tempfile::TempDir,
 }
 
@@ -49,7 +50,12 @@ impl Fixture {
         let tcp = listeners.tcp_addrs().next().unwrap();
         let (sink, hub) = Hub::new().unwrap();
         let recordings = folder.path().join("recordings");
-        let (services, Ends { devices, requests }) = services(&hub, Some(&recordings));
+        let (services, ends) = services(&hub, Some(&recordings));
+        let Ends {
+            devices,
+            requests,
+            buzzes,
+        } = ends;
         let (stop, stopped) = oneshot::channel::<()>();
         let server = tokio::spawn(serve(services, listeners, async {
             let _ = stopped.await;
@@ -63,6 +69,7 @@ impl Fixture {
             stop: Some(stop),
             server,
             requests,
+            buzzes,
             _folder: folder,
         }
     }

@@ -1,8 +1,8 @@
 //! One pose, skeleton, clock, devices, health, reflection, limits.
 
 use posed_proto::v1::{
-    GetClockRequest, GetPoseRequest, GetSkeletonRequest, ListDevicesRequest, Lookup,
-    WatchDevicesRequest, device_service_client::DeviceServiceClient,
+    ApplyHapticsRequest, GetClockRequest, GetPoseRequest, GetSkeletonRequest, ListDevicesRequest,
+    Lookup, WatchDevicesRequest, device_service_client::DeviceServiceClient,
     pose_service_client::PoseServiceClient,
 };
 use posed_signal::{DeviceId, HostTime, Role, Serial};
@@ -88,6 +88,10 @@ fn device(id: u8, packets: u64) -> DeviceState {
         packets,
         errors: 0,
         dropped: 0,
+        has_haptics: id == 1,
+        haptics: 0,
+        haptics_dropped: 0,
+        troubles: Vec::new(),
         pose: None,
     }
 }
@@ -117,6 +121,40 @@ async fn devices_are_listed_and_watched() {
             .collect::<Vec<_>>(),
         [7, 9]
     );
+}
+
+#[tokio::test]
+async fn a_controller_is_made_to_buzz() {
+    let mut fixture = Fixture::start();
+    let mut client = DeviceServiceClient::new(fixture.channel().await);
+    fixture
+        .devices
+        .send_replace(vec![device(0, 7), device(1, 9)]);
+    let request = |device| ApplyHapticsRequest {
+        device,
+        amplitude: Some(0.5),
+        ..Default::default()
+    };
+    client.apply_haptics(request(1)).await.unwrap();
+    let buzz = fixture.buzzes.pop().unwrap();
+    assert_eq!(buzz.device, DeviceId(1));
+    assert_eq!((buzz.haptic.periods(), buzz.haptic.strength()), (16, 0.5));
+    let mut refused = async |request| client.apply_haptics(request).await.unwrap_err().code();
+    assert_eq!(refused(request(0)).await, Code::FailedPrecondition);
+    assert_eq!(refused(request(2)).await, Code::NotFound);
+    assert_eq!(refused(request(300)).await, Code::NotFound);
+    let endless = ApplyHapticsRequest {
+        duration_s: Some(f32::INFINITY),
+        ..request(1)
+    };
+    assert_eq!(refused(endless).await, Code::InvalidArgument);
+    assert_eq!(fixture.buzzes.pop(), None);
+    // Nobody takes them: two wait, a third is refused.
+    for _ in 0..2 {
+        client.apply_haptics(request(1)).await.unwrap();
+    }
+    let busy = client.apply_haptics(request(1)).await.unwrap_err();
+    assert_eq!(busy.code(), Code::ResourceExhausted);
 }
 
 #[tokio::test]

@@ -121,7 +121,7 @@ function takeText(message) {
 function takeHello(news) {
   hello = news;
   if (scene) {
-    scene.stations = hello.stations;
+    scene.stations = [];
     scene.isDirty = true;
   }
   listed.clear();
@@ -177,7 +177,7 @@ function set(element, text, state) {
   if (state && element.dataset.state !== state) element.dataset.state = state;
 }
 
-function takeStatus({ height_m, devices, ticks, starts, recording, replay }) {
+function takeStatus({ height_m, devices, stations, ticks, starts, recording, replay }) {
   // How often the tracker was told to start anew: for whoever tests the page.
   document.body.dataset.starts = starts;
   if (height !== height_m) {
@@ -185,6 +185,11 @@ function takeStatus({ height_m, devices, ticks, starts, recording, replay }) {
     if (document.activeElement !== find("height")) {
       find("height").value = Math.round(height * 100);
     }
+  }
+  // Found by their light, they come one by one.
+  if (scene && JSON.stringify(scene.stations) !== JSON.stringify(stations)) {
+    scene.stations = stations;
+    scene.isDirty = true;
   }
   takeRecording(recording);
   takeReplay(replay);
@@ -217,8 +222,8 @@ function listDevices(devices) {
   const order = ({ role }) => hello.roles.indexOf(role) || hello.roles.length;
   devices.sort((a, b) => order(a) - order(b));
   for (const device of devices) {
-    const { id, serial, model, role, connected, charge, charging, how } = device;
-    const shape = JSON.stringify([serial, model, role, connected, charge, charging, how]);
+    const { id, serial, model, role, connected, charge, charging, how, troubles } = device;
+    const shape = JSON.stringify([serial, model, role, connected, charge, charging, how, troubles]);
     let known = listed.get(id);
     if (known?.shape !== shape) {
       const item = deviceItem(device);
@@ -277,6 +282,7 @@ function deviceItem(device) {
   if (!device.connected) return item;
   part("span", "numbers", "");
   part("span", "share", "").append(document.createElement("i"));
+  for (const trouble of device.troubles) part("span", "trouble", `${trouble}.`);
   return item;
 }
 

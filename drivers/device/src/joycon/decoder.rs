@@ -212,6 +212,7 @@ impl Device {
                         serial,
                         model: kind.name(),
                         natural_role: Role::None,
+                        has_haptics: false,
                     };
                     out.identity(UNIT, identity);
                 }

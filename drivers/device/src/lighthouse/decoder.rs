@@ -9,7 +9,8 @@ use super::{
     light::{Light, Seen},
     model::{DeviceModel, ImuRange},
     motion::ImuSample,
-    output::Output,
+    outlook::Outlook,
+    output::{self, Output, Reach},
     reader::{Event, Reader},
     room::{Handle, Room},
     solve::Sighting,
@@ -19,6 +20,8 @@ use super::{
 };
 use crate::{
     decode::{Command, DecodeError, Decoder, Emit},
+    haptic::Haptic,
+    trouble::Trouble,
     usb::Packet,
 };
 
@@ -35,6 +38,7 @@ const CLOCK_STEP: f64 = 0.25;
 
 /// A tracked device, wired or by radio.
 pub(super) struct Device {
+    variant: Variant,
     reader: Reader,
     events: Vec<Event>,
     startup: Startup,
@@ -58,11 +62,13 @@ struct Unit {
     /// No snapshot before this device time, s.
     snapshot_after: f64,
     upright: Upright,
+    outlook: Outlook,
 }
 
 impl Device {
     pub(super) fn new(variant: Variant, settings: &Settings) -> Self {
         Self {
+            variant,
             reader: Reader::default(),
             events: Vec::new(),
             startup: Startup::new(variant),
@@ -128,16 +134,18 @@ impl Device {
         self.range = model.range;
         out.identity(UNIT, model.identity);
         let input = InputState::new(model.controls);
-        let (stations, room) = self
-            .settings
-            .room
-            .with(|room| (room.placed(), (room.revision(), room.world())));
+        let mut outlook = Outlook::default();
+        let (stations, room) = self.settings.room.with(|room| {
+            outlook.follow(room, true);
+            (room.placed(), (room.revision(), room.world()))
+        });
         self.unit = Some(Unit {
             track: Track::new(model, stations),
             input,
             room,
             snapshot_after: f64::NEG_INFINITY,
             upright: Upright::default(),
+            outlook,
         });
         Ok(())
     }
@@ -160,6 +168,7 @@ impl Device {
         };
         let calibration = &unit.track.model().imu;
         let sample = ImuSample::new(time, raw, self.range, calibration);
+        unit.outlook.pass(time);
         unit.follow(&self.settings.room);
         unit.track.imu(sample);
         unit.survey(time, &self.settings.room);
@@ -206,6 +215,7 @@ impl Device {
         light.event(event, &mut |seen| match seen {
             Seen::Sweep(sweep) => {
                 if let Some(unit) = unit.as_mut() {
+                    unit.outlook.swept(sweep.source);
                     unit.track.sighting(Sighting {
                         time: sweep.ticks / TICKS_PER_SECOND,
                         station: sweep.source.index() as u8,
@@ -218,7 +228,11 @@ impl Device {
             Seen::Broadcast(source, broadcast) => {
                 settings.room.with(|room| room.heard(source, &broadcast));
             }
-            Seen::Shared(source) => settings.room.with(|room| room.shared(source)),
+            Seen::Shared(source) => {
+                if let Some(unit) = unit.as_mut() {
+                    unit.outlook.shared(source);
+                }
+            }
         });
     }
 
@@ -264,16 +278,17 @@ impl Unit {
             return;
         }
         self.snapshot_after = time + SNAPSHOT_INTERVAL;
-        room.with(|room| {
-            if room.is_curious() {
-                self.tell(time, room);
-            }
-        });
+        room.with(|room| self.tell(time, room));
     }
 
     fn tell(&mut self, time: f64, room: &mut Room) {
+        self.outlook.set_astray(self.track.is_astray(time));
         if let Some(source) = self.track.take_suspect() {
             room.disagrees(source);
+        }
+        self.outlook.follow(room, false);
+        if room.is_given() {
+            return;
         }
         if let Some(snapshot) = self.track.snapshot() {
             if self.track.is_astray(time) {
@@ -309,6 +324,25 @@ impl Decoder for Device {
 
     fn tick(&mut self, now: HostTime, commands: &mut Vec<Command>) {
         self.startup.tick(now, commands);
+    }
+
+    fn troubles(&self, _unit: usize, troubles: &mut Vec<Trouble>) {
+        if let Some(unit) = &self.unit {
+            unit.outlook.troubles(troubles);
+        }
+    }
+
+    fn buzz(&mut self, _unit: usize, haptic: &Haptic, commands: &mut Vec<Command>) -> bool {
+        let unit = self.unit.as_ref();
+        let can = unit.is_some_and(|unit| unit.track.model().identity.has_haptics);
+        if can {
+            let reach = match self.variant {
+                Variant::Watchman => Reach::Radio,
+                Variant::Wired(_) | Variant::Mainboard => Reach::Wired,
+            };
+            commands.push(output::haptic(reach, haptic).command());
+        }
+        can
     }
 }
 

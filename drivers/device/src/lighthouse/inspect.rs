@@ -36,6 +36,8 @@ pub struct StationReport {
     pub broadcasts: u64,
     /// What it said last.
     pub broadcast: Option<Broadcast>,
+    /// Whether two base stations were seen to be set to its channel.
+    pub shared: bool,
 }
 
 /// What was counted.
@@ -177,7 +179,7 @@ impl Inspector {
         let report = &mut self.report;
         self.light.event(&event, &mut |seen| match seen {
             Seen::Sweep(sweep) => report.stations.entry(sweep.source).or_default().sweeps += 1,
-            Seen::Shared(_) => {}
+            Seen::Shared(source) => report.stations.entry(source).or_default().shared = true,
             Seen::Broadcast(source, broadcast) => {
                 let entry = report.stations.entry(source).or_default();
                 entry.broadcasts += 1;

@@ -17,6 +17,7 @@ pub mod light;
 pub mod model;
 mod motion;
 pub mod ootx;
+mod outlook;
 pub mod output;
 mod planes;
 mod pulses;

@@ -133,6 +133,7 @@ impl DeviceModel {
                 serial: Serial::new(&file.device_serial_number),
                 model: make.name,
                 natural_role: make.role,
+                has_haptics: make.controls != Controls::Other,
             },
             controls: make.controls,
             range: if make.headset {

@@ -2,7 +2,7 @@
 //! bytes are those that captures of SteamVR and of libsurvive show.
 
 use super::wire::id;
-use crate::decode::Command;
+use crate::{decode::Command, haptic::Haptic};
 
 /// Interface that takes the feature reports.
 const INTERFACE: u8 = 0;
@@ -103,6 +103,22 @@ impl Output {
     }
 }
 
+/// A controller's coil is under current for no longer than this at a time, microseconds; OpenVR's
+/// limit of a pulse.
+const ON_MAX_US: f32 = 3_999.0;
+
+/// A buzz: at full strength the coil is under current for half of the time.
+pub(super) fn haptic(reach: Reach, haptic: &Haptic) -> Output {
+    let period = haptic.period_us();
+    let on = (0.5 * period * haptic.strength()).min(ON_MAX_US);
+    Output::Haptic {
+        reach,
+        on_us: on as u16,
+        off_us: (period - on) as u16,
+        pulses: haptic.periods(),
+    }
+}
+
 /// A request for a feature report.
 pub(super) fn get(id: u8) -> Command {
     Command::GetFeature {
@@ -115,6 +131,39 @@ pub(super) fn get(id: u8) -> Command {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_buzz_is_a_square_wave() {
+        let bytes = |seconds, hertz, strength| {
+            let wave = Haptic::new(seconds, hertz, strength).unwrap();
+            haptic(Reach::Radio, &wave).bytes()
+        };
+        // 200 Hz: 2,500 us on and as many off, 60 times.
+        assert_eq!(
+            bytes(0.3, 200.0, 1.0),
+            [0xff, 0x8f, 7, 0, 0xc4, 9, 0xc4, 9, 60, 0]
+        );
+        // A fifth of that strength: 500 us on, 4,500 off.
+        assert_eq!(
+            bytes(0.3, 200.0, 0.2),
+            [0xff, 0x8f, 7, 0, 0xf4, 1, 0x94, 0x11, 60, 0]
+        );
+        // Slow ones are on for no longer than a coil can bear, and there is one at least.
+        assert_eq!(
+            bytes(0.001, 20.0, 1.0),
+            [0xff, 0x8f, 7, 0, 0x9f, 0x0f, 0xb1, 0xb3, 1, 0]
+        );
+        for (seconds, hertz, strength) in [
+            (0.0, 200.0, 1.0),
+            (11.0, 200.0, 1.0),
+            (1.0, 1e9, 1.0),
+            (1.0, 200.0, 1.1),
+            (f32::NAN, 200.0, 1.0),
+            (1.0, f32::NAN, 1.0),
+        ] {
+            assert!(Haptic::new(seconds, hertz, strength).is_err());
+        }
+    }
 
     /// From captures of SteamVR's "identify controller", on a cable and by radio (LighthouseRedox,
     /// "klicking identify controller"), of a remote switch-off ("turning wireless controller off

@@ -11,6 +11,7 @@ use super::{
 use crate::{
     catalog::{self, Entry},
     decode::{Command, Decoder, Emit, Identity, UNITS_MAX},
+    haptic::Haptic,
     usb::{Packet, Port, UsbId},
 };
 
@@ -104,6 +105,32 @@ impl Link {
         if let Some(decoder) = &mut self.decoder {
             decoder.tick(now, commands);
         }
+    }
+
+    /// Takes note of what keeps the devices behind it from being tracked well.
+    pub(super) fn look(&self, table: &mut Table) {
+        let Some(decoder) = &self.decoder else { return };
+        for (unit, id) in self.units.ids.iter().enumerate() {
+            let owner = Owner {
+                port: self.port,
+                unit,
+            };
+            if let Some(troubles) = id.and_then(|id| table.troubles(id, owner)) {
+                troubles.clear();
+                decoder.troubles(unit, troubles);
+            }
+        }
+    }
+
+    /// Has a device behind it buzz; `false` where it cannot.
+    pub(super) fn buzz(
+        &mut self,
+        unit: usize,
+        haptic: &Haptic,
+        commands: &mut Vec<Command>,
+    ) -> bool {
+        let decoder = self.decoder.as_mut();
+        decoder.is_some_and(|decoder| decoder.buzz(unit, haptic, commands))
     }
 
     fn remember(&mut self, packet: &Packet) {

@@ -15,6 +15,8 @@ use self::{link::Link, table::Table};
 use crate::{
     capture, catalog,
     decode::{Command, DecodeError, Identity},
+    haptic::{Haptic, HapticError},
+    trouble::Trouble,
     usb::{Packet, Port, UsbId},
 };
 
@@ -66,6 +68,10 @@ pub struct Counters {
     pub unsound: u64,
     /// Samples dropped because the ring was full.
     pub dropped: u64,
+    /// Buzzes asked of it.
+    pub haptics: u64,
+    /// Buzzes that it could not be sent: it had gone, or did not keep up.
+    pub haptics_dropped: u64,
 }
 
 impl Counters {
@@ -110,6 +116,8 @@ pub struct DeviceInfo {
     pub battery: Option<Battery>,
     /// Its radio link.
     pub radio: Option<Radio>,
+    /// What keeps it from being tracked well, by the last tick.
+    pub troubles: Vec<Trouble>,
 }
 
 /// Every device that is there.
@@ -191,8 +199,34 @@ impl Rig {
     pub fn tick(&mut self, now: HostTime, commands: &mut Vec<(Port, Command)>) {
         for (port, link) in &mut self.links {
             link.tick(now, &mut self.commands);
+            link.look(&mut self.table);
             commands.extend(self.commands.drain(..).map(|command| (*port, command)));
         }
+    }
+
+    /// Has a device buzz: what to send to it is added to `commands`.
+    ///
+    /// # Errors
+    /// It is not there, or cannot buzz.
+    pub fn buzz(
+        &mut self,
+        id: DeviceId,
+        haptic: &Haptic,
+        commands: &mut Vec<(Port, Command)>,
+    ) -> Result<(), HapticError> {
+        let (port, unit) = self.table.place(id).ok_or(HapticError::NoDevice(id))?;
+        let link = self.links.get_mut(&port);
+        let link = link.ok_or(HapticError::NoDevice(id))?;
+        if !link.buzz(unit, haptic, &mut self.commands) {
+            return Err(HapticError::NoMotor(id));
+        }
+        commands.extend(self.commands.drain(..).map(|command| (port, command)));
+        Ok(())
+    }
+
+    /// Counts a buzz of a device, which was sent or was not.
+    pub fn count_buzz(&mut self, id: DeviceId, sent: bool) {
+        self.table.count_buzz(id, sent);
     }
 
     /// Every device seen so far, in the order of their ids.

@@ -9,6 +9,7 @@ use posed_signal::{
 use super::{Counters, DeviceInfo};
 use crate::{
     decode::{DecodeError, Identity},
+    trouble::Trouble,
     usb::{Port, UsbId},
 };
 
@@ -84,7 +85,9 @@ impl Table {
         let anonymous = own.filter(|&id| self.device(id).identity.serial == Serial::default());
         let id = seen.or(anonymous).or_else(|| self.free_id());
         if let Some(left) = own.filter(|&own| id != Some(own)) {
-            self.devices[usize::from(left.0)].connected = false;
+            let left = &mut self.devices[usize::from(left.0)];
+            left.connected = false;
+            left.troubles.clear();
         }
         let Some(id) = id else {
             self.refused += 1;
@@ -161,6 +164,7 @@ impl Table {
     pub(super) fn disconnect(&mut self, port: Port) {
         for device in self.devices.iter_mut().filter(|d| d.port == port) {
             device.connected = false;
+            device.troubles.clear();
         }
         self.changed();
     }
@@ -223,6 +227,7 @@ impl Table {
             buttons: None,
             battery: None,
             radio: None,
+            troubles: Vec::new(),
         };
         let index = usize::from(id.0);
         let Some(known) = self.devices.get_mut(index) else {
@@ -239,6 +244,27 @@ impl Table {
             (fresh.counters, fresh.role) = (std::mem::take(&mut known.counters), known.role);
         }
         *known = fresh;
+    }
+
+    /// Where a device that is there hangs.
+    pub(super) fn place(&self, id: DeviceId) -> Option<(Port, usize)> {
+        let device = self.devices.get(usize::from(id.0))?;
+        device.connected.then_some((device.port, device.unit))
+    }
+
+    /// Counts a buzz.
+    pub(super) fn count_buzz(&mut self, id: DeviceId, sent: bool) {
+        if let Some(device) = self.devices.get_mut(usize::from(id.0)) {
+            let counters = &mut device.counters;
+            counters.haptics += u64::from(sent);
+            counters.haptics_dropped += u64::from(!sent);
+        }
+    }
+
+    /// What keeps a device from being tracked well now.
+    pub(super) fn troubles(&mut self, id: DeviceId, owner: Owner) -> Option<&mut Vec<Trouble>> {
+        let owns = self.owns(id, owner);
+        owns.then(|| &mut self.devices[usize::from(id.0)].troubles)
     }
 
     fn changed(&mut self) {

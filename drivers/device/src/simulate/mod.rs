@@ -35,7 +35,7 @@ use posed_signal::time::MILLISECOND_NS;
 use serde::Serialize;
 
 pub use device::{Device, Model, Path, Placement};
-pub use options::{ImuNoise, LightNoise, Move, Occluder, Options, UsbTiming};
+pub use options::{Absence, ImuNoise, LightNoise, Move, Occluder, Options, UsbTiming};
 pub use stations::{default_stations, four_stations, generation_one_stations, write_libsurvive};
 
 use crate::lighthouse::base_station::{BaseStation, Source};
@@ -62,9 +62,9 @@ pub enum SimulateError {
     /// A base station's channel does not exist.
     #[error("simulation: a base station is set to channel {0}; channels go from 0 to 15")]
     NoSuchChannel(u8),
-    /// Two base stations are set to one channel.
-    #[error("simulation: two base stations are set to {0}; give each its own")]
-    SharedChannel(Source),
+    /// Two base stations of generation 1 flash at one time.
+    #[error("simulation: two base stations flash in {0}; give each its own")]
+    SharedSlot(Source),
 }
 
 /// The true pose of a device at a time.
@@ -106,7 +106,7 @@ impl Simulator {
     /// Devices that move as their paths say, from [`Options::start`] on.
     ///
     /// # Errors
-    /// An option is out of range, or base stations share a channel.
+    /// An option is out of range, or base stations of generation 1 share a slot.
     pub fn new(options: Options, devices: Vec<Device>) -> Result<Self, SimulateError> {
         options.check()?;
         let rotor = |(index, station)| {
@@ -170,7 +170,13 @@ impl Simulator {
         for rotor in &mut self.rotors {
             while let Some(rotation) = rotor.next(now) {
                 rotor.stand(&self.options.moves, rotation.sync_s);
-                if is_dark(&self.options.dark, &rotation) {
+                let source = rotor.station.source;
+                let absences = self.options.absences.iter();
+                let off = absences.filter(|one| one.source == source);
+                let mut dark = off
+                    .map(|one| one.span)
+                    .chain(self.options.dark.iter().copied());
+                if dark.any(|span| is_dark(span, &rotation)) {
                     continue;
                 }
                 let obstacles = obstacles(&self.options.occluders, &rotation);
@@ -250,11 +256,8 @@ fn obstacles(occluders: &[Occluder], rotation: &Rotation) -> Vec<Capsule> {
 }
 
 /// Whether the middle of a rotation lies in a dark span.
-fn is_dark(spans: &[[f64; 2]], rotation: &Rotation) -> bool {
-    let middle = rotation.sync_s + rotation.period_s / 2.0;
-    spans
-        .iter()
-        .any(|[begin, end]| (*begin..*end).contains(&middle))
+fn is_dark([begin, end]: [f64; 2], rotation: &Rotation) -> bool {
+    (begin..end).contains(&(rotation.sync_s + rotation.period_s / 2.0))
 }
 
 fn truth(device: &Device, start: HostTime, since_start: u64) -> Truth {

@@ -142,6 +142,15 @@ pub struct Move {
     pub rotation: DQuat,
 }
 
+/// A base station is switched off.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Absence {
+    /// Which one.
+    pub source: Source,
+    /// From when until when, seconds after the start.
+    pub span: [f64; 2],
+}
+
 /// Options of a simulation.
 pub struct Options {
     /// Everything random follows from it.
@@ -150,7 +159,7 @@ pub struct Options {
     pub start: HostTime,
     /// Seconds.
     pub duration_s: f64,
-    /// Base stations, each on its own channel.
+    /// Base stations. Those of generation 2 may share a channel, as users set them by mistake.
     pub stations: Vec<BaseStation>,
     /// The wearer's body and anything else that stands in the light.
     pub occluders: Vec<Occluder>,
@@ -158,6 +167,8 @@ pub struct Options {
     pub dark: Vec<[f64; 2]>,
     /// Base stations that are moved, in the order of time.
     pub moves: Vec<Move>,
+    /// Base stations that are off for a while.
+    pub absences: Vec<Absence>,
     /// Errors of the inertial sensors.
     pub imu: ImuNoise,
     /// Errors of the optical measurements.
@@ -176,6 +187,7 @@ impl Default for Options {
             occluders: Vec::new(),
             dark: Vec::new(),
             moves: Vec::new(),
+            absences: Vec::new(),
             imu: ImuNoise::TYPICAL,
             light: LightNoise::TYPICAL,
             usb: UsbTiming::TYPICAL,
@@ -191,8 +203,8 @@ impl Options {
                 return Err(SimulateError::NoSuchChannel(channel));
             }
             let bit = 1u32 << station.source.index();
-            if sources & bit != 0 {
-                return Err(SimulateError::SharedChannel(station.source));
+            if matches!(station.source, Source::Slot(_)) && sources & bit != 0 {
+                return Err(SimulateError::SharedSlot(station.source));
             }
             sources |= bit;
         }

@@ -98,6 +98,7 @@ fn identity(address: u64) -> Identity {
         serial: Serial::new(&format!("{address:012X}")),
         model: "SlimeVR tracker",
         natural_role: Role::None,
+        has_haptics: false,
     }
 }
 

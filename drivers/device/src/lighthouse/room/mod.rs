@@ -16,7 +16,6 @@ pub(super) mod snapshot;
 mod stored;
 #[cfg(test)]
 mod tests;
-mod trouble;
 
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -31,8 +30,6 @@ use super::{
 };
 pub use floor::Floor;
 pub use stored::{Stored, StoredError};
-pub use trouble::Trouble;
-use trouble::Troubles;
 
 /// Snapshots kept.
 const SNAPSHOTS_MAX: usize = 24;
@@ -116,9 +113,8 @@ pub struct Room {
     world: u64,
     /// How the present world came of the one before, if it is that one moved.
     carried: Option<Frame>,
-    /// How often stations were seen to have moved, or to be others.
-    moved: u64,
-    troubles: Troubles,
+    /// How often each station was seen to have moved, or to be another.
+    moves: [u32; Source::COUNT],
 }
 
 impl Default for Room {
@@ -132,8 +128,7 @@ impl Default for Room {
             revision: 0,
             world: 0,
             carried: None,
-            moved: 0,
-            troubles: Troubles::default(),
+            moves: [0; Source::COUNT],
         }
     }
 }
@@ -197,12 +192,17 @@ impl Room {
     /// How often stations were seen to have moved, or to be others than those kept.
     #[must_use]
     pub fn moved(&self) -> u64 {
-        self.moved
+        self.moves.iter().map(|moves| u64::from(*moves)).sum()
     }
 
-    /// Whether snapshots are of use.
-    pub(super) fn is_curious(&self) -> bool {
-        !self.given
+    /// The same of the station of a number, see [`Source::index`].
+    pub(super) fn moves(&self, index: usize) -> u32 {
+        self.moves[index]
+    }
+
+    /// Whether the places of stations are given.
+    pub(super) fn is_given(&self) -> bool {
+        self.given
     }
 
     /// A base station said what it is.
@@ -262,19 +262,8 @@ impl Room {
         }
         self.snapshots
             .retain(|(snapshot, _)| !snapshot.glimpses.is_empty());
-        self.moved += 1;
+        self.moves[source.index()] += 1;
         self.revision += 1;
-        self.troubles.add(Trouble::Moved(source));
-    }
-
-    /// Two stations are set to one channel.
-    pub(super) fn shared(&mut self, source: Source) {
-        self.troubles.add(Trouble::Shared(source));
-    }
-
-    /// What went wrong since this was asked last, and the wearer should know.
-    pub fn take_troubles(&mut self) -> Vec<Trouble> {
-        self.troubles.take()
     }
 
     /// The light of a station keeps disagreeing with that of the others.
@@ -283,7 +272,10 @@ impl Room {
             .stations()
             .filter(|station| station.source != source)
             .count();
-        if !self.given && others > 0 {
+        if self.given {
+            // It stays where it is given to stand; its light is gated.
+            self.moves[source.index()] += 1;
+        } else if others > 0 {
             self.displace(source);
         }
     }

@@ -4,6 +4,7 @@ mod broadcasts;
 mod captures;
 mod generation1;
 mod simulated;
+mod troubles;
 mod walk;
 
 use posed_signal::{Imu, Pose, Sample};

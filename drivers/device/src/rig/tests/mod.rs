@@ -24,6 +24,7 @@ impl Decoder for Puppet {
                     serial,
                     model: "puppet",
                     natural_role,
+                    has_haptics: false,
                 };
                 out.identity(usize::from(unit), identity);
             }

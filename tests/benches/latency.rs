@@ -1,12 +1,16 @@
-//! Latency and cost of posed, over the embedded capture.
+//! Latency and cost of posed, over the embedded capture and, where the shared data are there, a real
+//! one of an Index headset and both its controllers; base stations are found by their light.
 //!
-//! Prints: what each stage costs per tick, how much faster than real time a replay runs, and how
+//! Prints: what each stage costs per tick, what a sweep of a light plane over a sensor costs with
+//! everything behind it, how much faster than real time a replay runs on one core, and how
 //! long a USB report takes until the first pose that it had a part in is published, with the
 //! source and the tracker on threads of their own at 90 Hz, as live: for the headset of the embedded
 //! capture, and for PIP with six simulated SlimeVR trackers.
 
 use std::{
+    collections::BTreeMap,
     io::Cursor,
+    path::{Path, PathBuf},
     sync::{Arc, Mutex, atomic::Ordering},
     time::{Duration, Instant},
 };
@@ -14,7 +18,7 @@ use std::{
 use posed::{
     assemble::{Assembly, Options, assemble},
     clock::Monotonic,
-    commands::demo,
+    commands::{demo, replay::recording},
     models::Models,
     pipeline::live::{Shared, spawn_source, spawn_tracker},
     postures,
@@ -24,6 +28,7 @@ use posed_body::scene::Scene;
 use posed_device::{
     capture::{UsbmonOptions, UsbmonWriter, open},
     decode::Command,
+    lighthouse::inspect::Inspector,
     simulate::slimevr,
     transport::{Event, Merge, Recording, Replay, Transport, TransportError},
     usb::Port,
@@ -32,6 +37,8 @@ use posed_signal::{Clock as _, HostTime, Serial, VirtualClock};
 use posed_tracker::TrackerKind;
 
 const RATE_HZ: f64 = 90.0;
+/// A real capture.
+const REAL: &str = "index-hmd-and-two-knuckles.pcap.gz";
 /// Seconds of the capture that the live measurement takes.
 const LIVE_S: f64 = 12.0;
 
@@ -40,7 +47,14 @@ fn main() {
     if std::env::args().any(|argument| argument == "--test") {
         return;
     }
-    stages();
+    stages("embedded capture", &replay);
+    match real() {
+        Some(path) => stages(REAL, &|| {
+            let recording = recording(&path).expect("the capture can be opened");
+            Replay::new(vec![recording], Merge::OneSession)
+        }),
+        None => println!("SKIPPED (needs shared data): {REAL}"),
+    }
     live("embedded capture", replay(), options());
     live(
         "PIP, six trackers",
@@ -106,13 +120,48 @@ fn quantiles(mut ns: Vec<u64>) -> String {
     )
 }
 
+/// The real capture: `POSED_SHARED`, else `../shared` beside the repository.
+fn real() -> Option<PathBuf> {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).parent()?;
+    let beside = || root.with_file_name("shared");
+    let shared = std::env::var_os("POSED_SHARED").map_or_else(beside, PathBuf::from);
+    Some(shared.join("captures/lighthouse").join(REAL)).filter(|path| path.is_file())
+}
+
+/// Sweeps of light planes over sensors in a capture.
+fn sweeps(mut replay: Replay) -> u64 {
+    let mut inspectors = BTreeMap::<Port, Inspector>::new();
+    loop {
+        match replay.next(0) {
+            Event::Packet(packet) => {
+                let inspector = inspectors.entry(packet.port);
+                inspector
+                    .or_insert_with(|| Inspector::new(None))
+                    .packet(&packet);
+            }
+            Event::End => break,
+            _ => {}
+        }
+    }
+    let reports = inspectors.values().map(Inspector::report);
+    let seen = |report: posed_device::lighthouse::inspect::Report| {
+        report
+            .stations
+            .values()
+            .map(|seen| seen.sweeps)
+            .sum::<u64>()
+    };
+    reports.map(seen).sum()
+}
+
 /// Everything on one thread, stepped by the capture's time.
-fn stages() {
+fn stages(name: &str, open: &dyn Fn() -> Replay) {
+    let sweeps = sweeps(open());
     let Assembly {
         mut source,
         mut tracker,
         ..
-    } = assemble(Box::new(replay()), options());
+    } = assemble(Box::new(open()), options());
     let (mut read, mut decode, mut track) = (Vec::new(), Vec::new(), Vec::new());
     let (mut read_ns, mut decode_ns, mut packets) = (0u64, 0u64, 0u64);
     let mut next: Option<HostTime> = None;
@@ -152,10 +201,18 @@ fn stages() {
     }
     let wall = begun.elapsed().as_secs_f64();
     let capture = last.since_secs(first);
-    println!("stages, {packets} packets of {capture:.1} s, one thread, per tick at {RATE_HZ} Hz");
+    let fused: u64 = decode.iter().sum();
+    println!(
+        "{name}: {packets} packets, {sweeps} sweeps of {capture:.1} s, one thread, \
+         per tick at {RATE_HZ} Hz"
+    );
     println!("  read the capture        {}", quantiles(read));
     println!("  decode, solve and fuse  {}", quantiles(decode));
     println!("  track (tick)            {}", quantiles(track));
+    println!(
+        "  a sweep {:.2} us, inertial samples and all that hangs on them included",
+        fused as f64 * 1e-3 / sweeps.max(1) as f64
+    );
     println!("  in all {:.1} times real time", capture / wall);
 }
 

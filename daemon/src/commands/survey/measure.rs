@@ -149,12 +149,26 @@ impl Rest {
         let rotation = mean_rotation(poses.iter().map(|pose| pose.rotation.as_dquat()));
         let angle = |pose: &Pose| pose.rotation.as_dquat().angle_between(rotation).powi(2);
         let turn = (poses.iter().map(angle).sum::<f64>() / count).sqrt();
+        // What is worn at rest still drifts: its own acceleration is no gravity.
+        let tenth = (poses.len() / 10).max(1);
+        let (begin, end) = (speed(&poses[..tenth]), speed(&poses[poses.len() - tenth..]));
+        let own = (end.1 - begin.1) / (end.0 - begin.0).max(0.1);
         Some(Self {
-            tilt: (rotation * force).angle_between(DVec3::Y).to_degrees(),
+            tilt: (rotation * force - own)
+                .angle_between(DVec3::Y)
+                .to_degrees(),
             noise: (variance / 3.0).sqrt(),
             turn: turn.to_degrees(),
         })
     }
+}
+
+/// Mean time, s, and mean velocity, m/s.
+fn speed(poses: &[Pose]) -> (f64, DVec3) {
+    let count = poses.len() as f64;
+    let time = poses.iter().map(|pose| pose.at.as_secs_f64()).sum::<f64>();
+    let velocity = poses.iter().map(|pose| pose.velocity.as_dvec3());
+    (time / count, velocity.sum::<DVec3>() / count)
 }
 
 /// The mean of rotations that are near each other.
@@ -215,6 +229,28 @@ mod tests {
         );
         assert!((found.residual_rms_rad.unwrap() - 1e-4).abs() < 1e-8);
         assert_eq!(found.rest_s, 5.0);
+    }
+
+    /// Level, but pushed forwards by 0.1 m/s^2 all the time, which looks like 0.6 degrees.
+    #[test]
+    fn a_devices_own_acceleration_is_no_tilt() {
+        let mut samples = Vec::new();
+        for n in 0..3_000u64 {
+            let at = HostTime(n * 2_000_000);
+            samples.push(Sample::Imu(Imu {
+                at,
+                accel: glam::Vec3::new(0.0, 9.81, -0.1),
+                gyro: glam::Vec3::ZERO,
+            }));
+            let time = at.as_secs_f64() as f32;
+            samples.push(Sample::Pose(Pose {
+                position: glam::Vec3::new(0.0, 0.0, -0.05 * time * time),
+                velocity: glam::Vec3::new(0.0, 0.0, -0.1 * time),
+                how: PoseHow::Optical,
+                ..Pose::unknown(at)
+            }));
+        }
+        assert!(Measures::of(&samples).tilt_degrees.unwrap() < 0.01);
     }
 
     #[test]

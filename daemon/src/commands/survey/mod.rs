@@ -12,7 +12,7 @@ use std::{
 
 use posed_device::{
     capture, catalog,
-    lighthouse::{base_station::BaseStation, inspect::Inspector},
+    lighthouse::{base_station::BaseStation, inspect::Inspector, room},
     rig::{self, Rig},
     transport::{Event, Merge, Replay, Transport},
     usb::Port,
@@ -51,6 +51,32 @@ pub struct Row {
     pub reference: Option<Comparison>,
 }
 
+/// A base station of one capture, relative to the first one, as its light tells.
+#[derive(Debug, Clone, Serialize)]
+pub struct Relation {
+    /// The capture's file name.
+    pub capture: String,
+    /// Which one, and relative to which.
+    pub stations: [String; 2],
+    /// How far apart they are, m.
+    pub apart_m: f64,
+    /// Standard deviation of the relative pose by the light, over all axes: m and degrees.
+    pub sigma_m: Option<f64>,
+    pub sigma_degrees: Option<f64>,
+    /// How far off the file beside the capture it is, where that holds both: m and degrees.
+    pub off_m: Option<f64>,
+    pub off_degrees: Option<f64>,
+    /// The distance in that file over the one found.
+    pub file_scale: Option<f64>,
+}
+
+/// Everything about some captures.
+#[derive(Debug, Default, Serialize)]
+struct Survey {
+    devices: Vec<Row>,
+    stations: Vec<Relation>,
+}
+
 /// Surveys the captures and prints the table.
 ///
 /// # Errors
@@ -61,7 +87,7 @@ pub fn run(args: &SurveyArgs) -> Result<(), CommandError> {
     for path in &args.paths {
         find(path, &mut files)?;
     }
-    let mut rows = Vec::new();
+    let mut all = Survey::default();
     let mut captures = 0;
     for path in &files {
         let file = fs::File::open(path).map_err(|error| CommandError::file(path, error))?;
@@ -70,7 +96,10 @@ pub fn run(args: &SurveyArgs) -> Result<(), CommandError> {
         }
         captures += 1;
         match survey(path, args.base_stations) {
-            Ok(found) => rows.extend(found),
+            Ok(found) => {
+                all.devices.extend(found.devices);
+                all.stations.extend(found.stations);
+            }
             Err(error) => tracing::warn!("{error}"),
         }
     }
@@ -80,10 +109,10 @@ pub fn run(args: &SurveyArgs) -> Result<(), CommandError> {
         ));
     }
     if args.json {
-        let text = serde_json::to_string_pretty(&rows).map_err(std::io::Error::from)?;
+        let text = serde_json::to_string_pretty(&all).map_err(std::io::Error::from)?;
         println!("{text}");
     } else {
-        print!("{}", table(&rows));
+        print!("{}{}", table(&all.devices), relations(&all.stations));
     }
     Ok(())
 }
@@ -112,7 +141,7 @@ fn beside(path: &Path, endings: &[&str]) -> Option<PathBuf> {
 }
 
 /// Replays one capture and measures its devices.
-fn survey(path: &Path, stations: Stations) -> Result<Vec<Row>, CommandError> {
+fn survey(path: &Path, stations: Stations) -> Result<Survey, CommandError> {
     let file = match stations {
         Stations::Beside => beside(path, &[".rec.json", ".json"]),
         Stations::None => None,
@@ -125,6 +154,7 @@ fn survey(path: &Path, stations: Stations) -> Result<Vec<Row>, CommandError> {
     let named = file.filter(|_| !known.is_empty());
     let mut devices = catalog::Settings::default();
     devices.lighthouse.base_stations = known;
+    let room = devices.lighthouse.room.clone();
     let settings = rig::Settings {
         devices,
         ..rig::Settings::default()
@@ -142,7 +172,54 @@ fn survey(path: &Path, stations: Stations) -> Result<Vec<Row>, CommandError> {
     let reference = beside(path, &[".rec.gz", ".rec"])
         .map(|file| Reference::read(&file))
         .transpose()?;
-    Ok(run.rows(path, named.as_deref(), reference.as_ref()))
+    let from_light = named.is_none();
+    Ok(Survey {
+        devices: run.rows(path, named.as_deref(), reference.as_ref()),
+        stations: if from_light {
+            related(path, &room)
+        } else {
+            Vec::new()
+        },
+    })
+}
+
+/// The stations found in a capture, relative to the first of them.
+fn related(path: &Path, room: &room::Handle) -> Vec<Relation> {
+    let file = beside(path, &[".rec.json", ".json"]);
+    let file = file.and_then(|file| settings::base_stations(&file).ok());
+    let file = file.unwrap_or_default();
+    let of_file = |station: &BaseStation| file.iter().find(|other| other.id == station.id);
+    let pose = |from: &BaseStation, to: &BaseStation| {
+        let back = from.rotation.conjugate();
+        (back * (to.position - from.position), back * to.rotation)
+    };
+    let (first, others) = room.with(|room| {
+        let others = room.certainties().map(|(station, sigma)| (*station, sigma));
+        (room.stations().next().copied(), others.collect::<Vec<_>>())
+    });
+    let Some(first) = first else {
+        return Vec::new();
+    };
+    let relation = |(station, sigma): (BaseStation, Option<[f64; 2]>)| {
+        let (place, turn) = pose(&first, &station);
+        let filed = of_file(&first).zip(of_file(&station));
+        let filed = filed.map(|(first, station)| pose(first, station));
+        Relation {
+            capture: path
+                .file_name()
+                .unwrap_or_default()
+                .to_string_lossy()
+                .into(),
+            stations: [station.source, first.source].map(|source| source.to_string()),
+            apart_m: place.length(),
+            sigma_m: sigma.map(|sigma| sigma[0]),
+            sigma_degrees: sigma.map(|sigma| sigma[1].to_degrees()),
+            off_m: filed.map(|(filed, _)| (filed - place).length()),
+            off_degrees: filed.map(|(_, filed)| filed.angle_between(turn).to_degrees()),
+            file_scale: filed.map(|(filed, _)| filed.length() / place.length()),
+        }
+    };
+    others.into_iter().map(relation).collect()
 }
 
 struct Run {
@@ -298,6 +375,38 @@ fn table(rows: &[Row]) -> String {
         "tracked: per cent of the time from 3 s after its first inertial sample on; residual: urad; \
          tilt, rotations: degrees\n",
     );
+    text
+}
+
+/// For people: the base stations, where they were found by their light.
+fn relations(all: &[Relation]) -> String {
+    if all.is_empty() {
+        return String::new();
+    }
+    let mut text = format!(
+        "\n{:<34} {:<24} {:>7} {:>19} {:>19} {:>7}\n",
+        "capture", "base stations", "apart", "sigma", "off the file", "scale"
+    );
+    for one in all {
+        let both = |metres: Option<f64>, degrees: Option<f64>| {
+            metres
+                .zip(degrees)
+                .map_or_else(String::new, |(m, degrees)| {
+                    format!("{:.1} mm {degrees:.3}", 1e3 * m)
+                })
+        };
+        let _ = writeln!(
+            text,
+            "{:<34} {:<24} {:>5.2} m {:>19} {:>19} {:>7}",
+            shortened(&one.capture, 34),
+            one.stations.join(" from "),
+            one.apart_m,
+            both(one.sigma_m, one.sigma_degrees),
+            both(one.off_m, one.off_degrees),
+            one.file_scale
+                .map_or_else(String::new, |scale| format!("{scale:.4}")),
+        );
+    }
     text
 }
 

@@ -19,9 +19,12 @@ const fn frame_bits(payload: usize) -> usize {
     let words = 1 + payload.div_ceil(2) + 2;
     PREAMBLE_ZEROS as usize + 1 + 17 * words
 }
-/// Bits of a frame of generation 2 and of one of generation 1. The first entry stands for frames of
-/// any other length: with those, no bit before the length may be missing.
-const PERIODS: [u64; 3] = [0, frame_bits(43) as u64, frame_bits(33) as u64];
+/// Payloads of generation 2 and of generation 1, bytes. The first entry stands for any other length:
+/// with those, no bit before the length may be missing.
+const LENGTHS: [Option<usize>; 3] = [None, Some(43), Some(33)];
+/// The first frame of a station is read while so many of its bits were never seen: the check sum
+/// tells them, and 24 of its bits are left to tell that the others are right.
+const UNSEEN_MAX: usize = 8;
 /// Bits kept: six of the longest frames.
 const WINDOW: usize = 6 * frame_bits(PAYLOAD_MAX);
 
@@ -102,6 +105,8 @@ pub struct BitStream {
     next: u64,
     /// Position of the newest preamble whose frame has not been read yet.
     preamble: Option<u64>,
+    /// Bits of a frame that need not have been seen.
+    unseen_max: usize,
 }
 
 impl Default for BitStream {
@@ -110,6 +115,7 @@ impl Default for BitStream {
             bits: vec![None; WINDOW],
             next: 0,
             preamble: None,
+            unseen_max: UNSEEN_MAX,
         }
     }
 }
@@ -126,19 +132,21 @@ impl BitStream {
         }
         self.put(Some(bit));
         let start = (self.next - 1).checked_sub(PREAMBLE_ZEROS);
-        let begins = |start: &u64| PERIODS.into_iter().any(|period| self.zeros(*start, period));
+        let begins = |start: &u64| LENGTHS.into_iter().any(|length| self.zeros(*start, length));
         self.preamble = start.filter(|start| bit && begins(start)).or(self.preamble);
         // Zeros that were filled in by a wrong period are as good as others: all are tried.
         let start = self.preamble?;
-        let payload = PERIODS
+        let payload = LENGTHS
             .into_iter()
-            .filter(|period| self.zeros(start, *period))
-            .find_map(|period| self.frame(start, period))?;
+            .filter(|length| self.zeros(start, *length))
+            .find_map(|length| self.frame(start, length))?;
         self.preamble = None;
+        self.unseen_max = 0;
         Some(payload)
     }
 
-    fn zeros(&self, start: u64, period: u64) -> bool {
+    fn zeros(&self, start: u64, length: Option<usize>) -> bool {
+        let period = length.map_or(0, frame_bits) as u64;
         (start..start + PREAMBLE_ZEROS).all(|at| self.bit(at, period) == Some(false))
     }
 
@@ -153,33 +161,51 @@ impl BitStream {
             .flatten()
     }
 
-    /// The payload of the frame that begins at `start`; bits that are not there are taken from the
-    /// frames before.
-    fn frame(&self, start: u64, filled: u64) -> Option<Vec<u8>> {
+    /// The payload of the frame that begins at `start`, of a known length or of what it says; bits
+    /// that are not there are taken from the frames before.
+    fn frame(&self, start: u64, known: Option<usize>) -> Option<Vec<u8>> {
         let body = start + PREAMBLE_ZEROS + 1;
-        let (low, high) = (self.byte(body, filled)?, self.byte(body + 8, filled)?);
-        let length = usize::from(u16::from_le_bytes([low, high]));
-        let period = frame_bits(length.min(PAYLOAD_MAX)) as u64;
-        if length > PAYLOAD_MAX || (filled != 0 && filled != period) {
+        let length = match known {
+            Some(length) => length,
+            None => usize::from(u16::from_le_bytes([
+                self.byte(body, 0)?,
+                self.byte(body + 8, 0)?,
+            ])),
+        };
+        if length > PAYLOAD_MAX {
             return None;
         }
+        let period = frame_bits(length) as u64;
+        let filled = length.next_multiple_of(2);
+        // Length, payload, filling, check sum: what has to be there, whatever the payload.
+        let mut bytes = vec![0u8; 2 + filled + 4];
+        let mut unseen = Vec::new();
         // The last bits come last: without them there is no need to look at the others.
-        let words = (0..(period - PREAMBLE_ZEROS - 1) / 17).rev();
-        let mut bytes = Vec::with_capacity(PAYLOAD_MAX + 8);
-        for word in words {
-            let at = body + 17 * word;
-            if !self.bit(at + 16, period)? {
+        for (index, byte) in bytes.iter_mut().enumerate().rev() {
+            let at = body + 17 * (index as u64 / 2) + 8 * (index as u64 % 2);
+            let is_told = index < 2 || (2 + length..2 + filled).contains(&index);
+            let told = match index {
+                0 | 1 => (length as u16).to_le_bytes()[index],
+                _ => 0,
+            };
+            for bit in 0..8 {
+                let mask = 0x80 >> bit;
+                match (self.bit(at + bit, period), is_told) {
+                    (Some(seen), true) if seen != (told & mask != 0) => return None,
+                    (_, true) => *byte = told,
+                    (Some(true), false) => *byte |= mask,
+                    (Some(false), false) => {}
+                    (None, false) if unseen.len() < self.unseen_max => unseen.push((index, mask)),
+                    (None, false) => return None,
+                }
+            }
+            // A one stands behind every word.
+            if index % 2 == 1 && self.bit(at + 8, period) == Some(false) {
                 return None;
             }
-            bytes.push(self.byte(at + 8, period)?);
-            bytes.push(self.byte(at, period)?);
         }
-        bytes.reverse();
-        let (filled, sum) = bytes[2..].split_last_chunk::<4>()?;
-        let payload = filled.get(..length)?;
-        let mut crc = flate2::Crc::new();
-        crc.update(payload);
-        (crc.sum() == u32::from_le_bytes(*sum)).then(|| payload.to_vec())
+        fill(&mut bytes, length, &unseen)?;
+        Some(bytes[2..2 + length].to_vec())
     }
 
     /// A bit, or the same bit of an earlier frame, the newest that was seen.
@@ -193,6 +219,43 @@ impl BitStream {
             Some(byte << 1 | u8::from(self.bit(position + n, period)?))
         })
     }
+}
+
+/// What the check sum of a frame is off.
+fn off(bytes: &[u8], length: usize) -> Option<u32> {
+    let (rest, sum) = bytes.split_last_chunk::<4>()?;
+    let mut crc = flate2::Crc::new();
+    crc.update(rest.get(2..2 + length)?);
+    Some(crc.sum() ^ u32::from_le_bytes(*sum))
+}
+
+/// Sets the bits of a frame that were not seen (byte and mask) so that its check sum is right, if
+/// there is one way to do so and no other.
+fn fill(bytes: &mut [u8], length: usize, unseen: &[(usize, u8)]) -> Option<()> {
+    let wrong = off(bytes, length)?;
+    // What each of them changes does not depend on the others.
+    let mut changes = Vec::with_capacity(unseen.len());
+    for &(index, mask) in unseen {
+        bytes[index] ^= mask;
+        changes.push(off(bytes, length)? ^ wrong);
+        bytes[index] ^= mask;
+    }
+    let chosen = |set: u32, n: usize| set >> n & 1 == 1;
+    let mut sets = (0..1u32 << unseen.len()).filter(|set| {
+        let each = changes.iter().enumerate();
+        let change = each.filter(|(n, _)| chosen(*set, *n));
+        change.fold(wrong, |wrong, (_, change)| wrong ^ change) == 0
+    });
+    let set = sets.next()?;
+    if sets.next().is_some() {
+        return None;
+    }
+    for (n, &(index, mask)) in unseen.iter().enumerate() {
+        if chosen(set, n) {
+            bytes[index] |= mask;
+        }
+    }
+    Some(())
 }
 
 #[cfg(test)]
@@ -243,8 +306,8 @@ mod tests {
         for start in [0, 1, 100, 200, 420, 442] {
             let stream = frame.iter().cycle().skip(start).copied().map(Some);
             let at = read_at(stream.take(1_000), &payload).unwrap();
-            // The preamble and the length behind it have to come in one piece.
-            assert!((442..442 + 34).contains(&at), "{start}: {at}");
+            // The preamble has to come in one piece; the last bits follow from the check sum.
+            assert!((420..442 + 34).contains(&at), "{start}: {at}");
         }
     }
 
@@ -255,6 +318,19 @@ mod tests {
         frame[100] = !frame[100];
         let stream = frame.iter().cycle().copied().map(Some);
         assert_eq!(read_at(stream.take(2_000), &payload), None);
+    }
+
+    #[test]
+    fn some_bits_that_are_never_seen_follow_from_the_others() {
+        let payload: Vec<u8> = (0..43u8).map(|n| n.wrapping_mul(91)).collect();
+        let frame = bits(&payload);
+        let read = |unseen: &[usize]| {
+            let stream = (0..1_500).map(|n| (!unseen.contains(&(n % 443))).then(|| frame[n % 443]));
+            read_at(stream, &payload)
+        };
+        // Length, stuffing and filling need not be seen, and eight others, also of the check sum.
+        assert!(read(&[20, 34, 51, 410, 50, 100, 101, 102, 103, 200, 300, 430]).is_some());
+        assert!(read(&[50, 100, 101, 103, 104, 200, 300, 430, 341, 351]).is_none());
     }
 
     #[test]

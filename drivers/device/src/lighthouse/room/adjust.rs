@@ -152,6 +152,57 @@ impl Bundle {
         normal
     }
 
+    /// Standard deviations of the poses of all stations but the first, relative to that one: m and
+    /// rad, over all axes. They follow from how readings scatter and where devices were; what is
+    /// wrong with the devices' own dimensions, which are the rulers, comes on top.
+    pub(super) fn sigmas(&self) -> Option<Vec<[f64; 2]>> {
+        let normal = self.normal(SOFT[SOFT.len() - 1]);
+        let mut reduced = normal.stations;
+        for (own, coupling, _) in &normal.own {
+            reduced -= coupling * own.cholesky()?.inverse() * coupling.transpose();
+        }
+        let (_, first) = self.stations.first()?;
+        // Origin and heading are free: held at the first station, they change no relative pose.
+        let up = first.rotation.conjugate() * DVec3::Y;
+        for row in 0..3 {
+            reduced[(row, row)] += 1.0;
+            for column in 0..3 {
+                reduced[(3 + row, 3 + column)] += up[row] * up[column];
+            }
+        }
+        let covariance = reduced.cholesky()?.inverse();
+        let back = first.rotation.conjugate();
+        let sigma = |(index, station): (usize, &BaseStation)| {
+            let there = back * (station.position - first.position);
+            let turn = station.rotation.conjugate() * first.rotation;
+            // How the relative pose goes with place and turn of the first and of this station.
+            let mut by = SMatrix::<f64, 6, 12>::zeros();
+            for axis in 0..3 {
+                let unit = DVec3::AXES[axis];
+                let columns = [
+                    (axis, back * -unit, DVec3::ZERO),
+                    (3 + axis, there.cross(unit), turn * -unit),
+                    (6 + axis, back * unit, DVec3::ZERO),
+                    (9 + axis, DVec3::ZERO, unit),
+                ];
+                for (column, place, turned) in columns {
+                    for row in 0..3 {
+                        by[(row, column)] = place[row];
+                        by[(3 + row, column)] = turned[row];
+                    }
+                }
+            }
+            let at = |n: usize| if n < 6 { n } else { 6 * index + n - 6 };
+            let joint =
+                SMatrix::<f64, 12, 12>::from_fn(|row, column| covariance[(at(row), at(column))]);
+            let relative = by * joint * by.transpose();
+            let size = |from: usize| (from..from + 3).map(|n| relative[(n, n)]).sum::<f64>();
+            [size(0).sqrt(), size(3).sqrt()]
+        };
+        let others = self.stations.iter().map(|(_, station)| station).enumerate();
+        Some(others.skip(1).map(sigma).collect())
+    }
+
     /// The bundle after a damped step.
     fn step(&self, normal: &Normal, damping: f64) -> Option<Self> {
         let damp = |value: &mut f64| *value = *value * (1.0 + damping) + damping;

@@ -71,6 +71,9 @@ struct Station {
     heard: bool,
     /// Up in its frame, by its own accelerometer.
     up: Option<DVec3>,
+    /// Standard deviation of its pose relative to the first placed station, m and rad, where that
+    /// was measured.
+    sigma: Option<[f64; 2]>,
 }
 
 impl Station {
@@ -90,6 +93,7 @@ impl Station {
             placed: false,
             heard: false,
             up: None,
+            sigma: None,
         }
     }
 }
@@ -146,6 +150,7 @@ impl Room {
                 placed: true,
                 heard: true,
                 up: None,
+                sigma: None,
             });
         }
         self.given = true;
@@ -158,6 +163,15 @@ impl Room {
         self.known()
             .filter(|station| station.placed)
             .map(|station| &station.station)
+    }
+
+    /// Stations that have a place, but for the first of them, with how well their poses relative to
+    /// that one are known where they were measured: standard deviations over all axes, m and rad.
+    pub fn certainties(&self) -> impl Iterator<Item = (&BaseStation, Option<[f64; 2]>)> {
+        let placed = self.known().filter(|station| station.placed);
+        placed
+            .skip(1)
+            .map(|station| (&station.station, station.sigma))
     }
 
     fn known(&self) -> impl Iterator<Item = &Station> {
@@ -256,6 +270,7 @@ impl Room {
     fn displace(&mut self, source: Source) {
         if let Some(station) = &mut self.stations[source.index()] {
             station.placed = false;
+            station.sigma = None;
         }
         for (snapshot, _) in &mut self.snapshots {
             snapshot.glimpses.retain(|seen| seen.source != source);

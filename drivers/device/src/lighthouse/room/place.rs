@@ -214,6 +214,7 @@ impl Room {
             self.forget();
             return;
         }
+        let sigmas = bundle.sigmas().unwrap_or_default();
         let newest = self.snapshots.len() - 1;
         let (before, after) = (self.snapshots[newest].1, bundle.snapshots[newest].1);
         let back = level_turn(&after, &before);
@@ -224,6 +225,11 @@ impl Room {
         };
         for (source, station) in &bundle.stations {
             self.put(*source, &brought(&frame_of(station)));
+        }
+        for ((source, _), sigma) in bundle.stations.iter().skip(1).zip(sigmas) {
+            if let Some(station) = &mut self.stations[source.index()] {
+                station.sigma = Some(sigma);
+            }
         }
         for ((_, frame), (_, adjusted)) in self.snapshots.iter_mut().zip(&bundle.snapshots) {
             *frame = brought(adjusted);

@@ -57,6 +57,9 @@ struct Entry {
     position: [f64; 3],
     /// Its frame (looks along -Z, Y up) to the world; x, y, z, w.
     rotation: [f64; 4],
+    /// Standard deviation of its pose relative to the first station, m and rad.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    sigma: Option<[f64; 2]>,
     /// Whether the shape of its planes was heard from it, or is taken as typical.
     heard: bool,
     planes: [Plane; 2],
@@ -116,6 +119,7 @@ impl Entry {
             id: station.station.id,
             position: station.station.position.to_array(),
             rotation: station.station.rotation.to_array(),
+            sigma: station.sigma,
             heard: station.heard,
             planes: station.station.calibration.map(|plane| Plane {
                 phase: plane.phase,
@@ -176,6 +180,7 @@ impl Entry {
             placed: true,
             heard: self.heard,
             up: None,
+            sigma: self.sigma,
         }
     }
 }

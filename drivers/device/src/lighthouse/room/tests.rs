@@ -120,6 +120,64 @@ fn stations_are_chained_through_what_sees_them_together() {
     assert_eq!(room.moved(), 0);
 }
 
+/// Rooms that differ in nothing but the noise of readings: their stations scatter as they are said
+/// to.
+#[test]
+fn stations_scatter_as_they_are_said_to() {
+    let (model, all) = (ball(), stations());
+    let mut state = 1u64;
+    let mut noise = || {
+        // About normal: the sum of twelve even ones.
+        let mut even = || {
+            state = state
+                .wrapping_mul(6_364_136_223_846_793_005)
+                .wrapping_add(1);
+            (state >> 40) as f64 / f64::from(1u32 << 24) - 0.5
+        };
+        (0..12).map(|_| even()).sum::<f64>()
+    };
+    let relative = |stations: &[BaseStation]| {
+        let back = stations[0].rotation.conjugate();
+        let place = back * (stations[1].position - stations[0].position);
+        (place, back * stations[1].rotation)
+    };
+    let (place, turn) = relative(&all);
+    let (mut squares, mut said, mut rooms) = ([0.0; 2], [0.0; 2], 0.0);
+    for _ in 0..24 {
+        let mut room = Room::default();
+        for (x, z, turn) in [(0.0, 0.0, 0.3), (0.4, 0.2, 1.3), (-0.3, 0.4, 2.6)] {
+            let mut snapshot = seen(&model, &all[..2], &at(x, 1.5, z, turn));
+            for glimpse in &mut snapshot.glimpses {
+                glimpse.angle += 4e-4 * noise();
+            }
+            let lean =
+                DQuat::from_rotation_x(0.004 * noise()) * DQuat::from_rotation_z(0.004 * noise());
+            snapshot.up = lean * snapshot.up;
+            room.offer(snapshot);
+        }
+        let found: Vec<BaseStation> = room.stations().copied().collect();
+        let (found_place, found_turn) = relative(&found);
+        let [(_, Some(sigma))] = room.certainties().collect::<Vec<_>>()[..] else {
+            panic!("the second station was measured")
+        };
+        let off = [
+            (found_place - place).length(),
+            found_turn.angle_between(turn),
+        ];
+        for n in 0..2 {
+            squares[n] += off[n].powi(2);
+            said[n] += sigma[n].powi(2);
+        }
+        rooms += 1.0;
+    }
+    for n in 0..2 {
+        let (is, should) = ((squares[n] / rooms).sqrt(), (said[n] / rooms).sqrt());
+        println!("{n}: off {is:.2e}, said {should:.2e}");
+        // Readings are taken to scatter by 6e-4, half as much again as here.
+        assert!(is < 1.2 * should && is > 0.4 * should, "{n}: {is} {should}");
+    }
+}
+
 #[test]
 fn a_station_that_was_moved_gets_another_place() {
     let (model, mut all) = (ball(), stations());

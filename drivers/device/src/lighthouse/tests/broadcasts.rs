@@ -63,8 +63,7 @@ fn base_stations_say_what_libsurvive_noted() {
     for (name, count, seconds) in [
         ("vive-index-cal", 2, 20.0),
         ("index-hmd-and-two-knuckles", 2, 20.0),
-        // One of the four is seen in too few of its turns for a whole frame in 20 s.
-        ("tracker-cal-attempt", 4, 27.0),
+        ("tracker-cal-attempt", 4, 20.0),
         ("vive_cal", 2, 20.0),
     ] {
         let capture = format!("{name}.pcap.gz");

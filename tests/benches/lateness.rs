@@ -263,7 +263,7 @@ fn start_outputs(serving: &Serving) {
         ticks: None,
         playback: None,
         rate_hz: RATE_HZ,
-        stations: Vec::new(),
+        room: Default::default(),
     };
     let any_port = config::Page {
         listen: Some((Ipv4Addr::LOCALHOST, 0).into()),

@@ -60,11 +60,13 @@ pub struct Relation {
     pub stations: [String; 2],
     /// How far apart they are, m.
     pub apart_m: f64,
-    /// Standard deviation of the relative pose by the light, over all axes: m and degrees.
+    /// Standard deviation of the relative place by the light, over all axes, m.
     pub sigma_m: Option<f64>,
+    /// The same of the relative rotation, degrees.
     pub sigma_degrees: Option<f64>,
-    /// How far off the file beside the capture it is, where that holds both: m and degrees.
+    /// How far off the file beside the capture the place is, where that holds both, m.
     pub off_m: Option<f64>,
+    /// The same of the rotation, degrees.
     pub off_degrees: Option<f64>,
     /// The distance in that file over the one found.
     pub file_scale: Option<f64>,

@@ -27,6 +27,14 @@ static TRUTH: &[u8] = include_bytes!("../assets/demo-truth.jsonl.gz");
 /// The base stations of the simulation: with them, poses are in the truth's world.
 static BASE_STATIONS: &str = include_str!("../assets/demo-base-stations.json");
 
+/// What tracks the embedded capture where base stations and floor are known.
+pub(crate) fn in_a_known_room() -> Options {
+    let mut options = options();
+    let stations = parse_libsurvive(BASE_STATIONS).expect("the base stations hold");
+    options.rig.devices.lighthouse.base_stations = stations;
+    options
+}
+
 fn run() -> Run {
     Run::of(replay().expect("embedded"), options())
 }
@@ -89,10 +97,7 @@ fn the_room_is_found_by_its_light() {
 
 #[test]
 fn devices_are_where_they_truly_are() {
-    let mut options = options();
-    let stations = parse_libsurvive(BASE_STATIONS).expect("the base stations hold");
-    options.rig.devices.lighthouse.base_stations = stations;
-    let run = Run::of(replay().expect("embedded"), options);
+    let run = Run::of(replay().expect("embedded"), in_a_known_room());
     let truth = truth();
     for role in [Role::Head, Role::LeftHand, Role::RightHand] {
         let device = run

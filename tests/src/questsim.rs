@@ -28,6 +28,7 @@ use posed_tracker::{
 
 use crate::{
     allocation::armed,
+    demo::in_a_known_room,
     shared::{models, root},
     stage::Run,
 };
@@ -220,7 +221,7 @@ fn replay(options: Options, mut ask: impl FnMut(usize) -> Option<Request>) -> Ve
                 next = Some(due.plus_secs(1.0 / RATE_HZ));
                 source.tick(due);
                 if let Some(request) = ask(poses.len()) {
-                    assert!(requests.push(request));
+                    assert!(requests.tracker.push(request));
                 }
                 let clock = VirtualClock::new(due);
                 let (pose, allocations) = armed(|| tracker.tick(&clock, &mut |_, _| {}));
@@ -252,7 +253,7 @@ fn a_client_throws_a_ball_and_a_reset_brings_it_back() {
     let options = Options {
         trackers: vec![tracker.expect("the model fits").expect("built in")],
         tracker: TrackerKind::QuestSim,
-        ..demo::options().expect("embedded")
+        ..in_a_known_room()
     };
     let to = ObjectMove {
         index: 0,
@@ -291,7 +292,7 @@ fn the_first_seconds_upright_tell_the_height() {
     let options = Options {
         heights: Heights::of(1.6),
         measure_height: true,
-        ..demo::options().expect("embedded")
+        ..in_a_known_room()
     };
     let run = Run::of(demo::replay().expect("embedded"), options);
     let measured = run.poses.last().and_then(|pose| pose.measured_m);
@@ -314,7 +315,7 @@ fn an_avatar_of_another_height_stands_as_upright_where_the_wearer_is() {
     let played = |heights| {
         let options = Options {
             heights,
-            ..demo::options().expect("embedded")
+            ..in_a_known_room()
         };
         Run::of(demo::replay().expect("embedded"), options).poses
     };

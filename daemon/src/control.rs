@@ -3,6 +3,7 @@
 
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
+use posed_body::scene::Object;
 use posed_signal::ring::Producer;
 use posed_tracker::{TrackerKind, Wearer};
 use tokio::sync::watch;
@@ -31,7 +32,7 @@ pub struct Control {
     resets: watch::Sender<u64>,
     tracker: watch::Sender<TrackerKind>,
     trackers: Vec<TrackerKind>,
-    objects: usize,
+    objects: Vec<Object>,
 }
 
 /// What can be asked for, and what holds at first.
@@ -43,8 +44,8 @@ pub struct Known {
     pub tracker: TrackerKind,
     /// The trackers that can be chosen.
     pub trackers: Vec<TrackerKind>,
-    /// How many things there are in the scene.
-    pub objects: usize,
+    /// The things in the scene.
+    pub objects: Vec<Object>,
 }
 
 /// Why a request is not handed on.
@@ -102,7 +103,7 @@ impl Control {
                 }
             }
             Request::Move(to) => {
-                if let Some(problem) = to.problem(self.objects) {
+                if let Some(problem) = to.problem(self.objects.len()) {
                     let index = to.index;
                     return Err(Refusal::Object { index, problem });
                 }
@@ -126,6 +127,12 @@ impl Control {
         }
         self.resets.send_modify(|count| *count += 1);
         Ok(())
+    }
+
+    /// The things in the scene, as the configuration has them.
+    #[must_use]
+    pub fn objects(&self) -> &[Object] {
+        &self.objects
     }
 
     /// How tall the wearer is, and the body shown.
@@ -226,7 +233,11 @@ pub(crate) mod tests {
             heights: Heights::of(wearer.borrow().height),
             tracker: TrackerKind::Ik,
             trackers: vec![TrackerKind::Ik, TrackerKind::Pip],
-            objects: 1,
+            objects: vec![Object::Ball {
+                radius: 0.1,
+                position: [0.0, 0.1, -1.0],
+                mass: 0.4,
+            }],
         };
         let control = Control::new(requests, wearer, known);
         (control, tracker_end, buzzes_end)

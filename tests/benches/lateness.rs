@@ -212,7 +212,7 @@ impl Outputs {
                 heights: Heights::of(demo::HEIGHT),
                 tracker: TrackerKind::Ik,
                 trackers: vec![TrackerKind::Ik],
-                objects: 0,
+                objects: Vec::new(),
             },
             clock: Arc::new(Monotonic),
         };

@@ -177,7 +177,7 @@ pub(super) fn serve(
             heights: heights(config),
             tracker: config.tracker.name,
             trackers,
-            objects: config.scene.objects.len(),
+            objects: config.scene.objects.clone(),
         },
         clock: Arc::new(Monotonic),
     };

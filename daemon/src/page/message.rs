@@ -20,11 +20,12 @@ const FORCE_N_MIN: f32 = 5.0;
 pub(super) type Timing = [f32; 2];
 
 /// A pose, little-endian: sequence number (u32), quality, tracker, number of devices and of timings
-/// (u8 each), target time (f64, seconds), number of contacts (u32); 22 joints in the world, each
-/// position and quaternion (7 f32); the devices, each role, lookup, tracking and a zero (u8 each),
-/// position and quaternion; the timings, two f32 each; the contacts of the feet with the ground,
-/// each position and force in newtons (6 f32). Devices are where the sensors of the body parts are
-/// worn.
+/// (u8 each), target time (f64, seconds), number of contacts and of things (u16 each); 22 joints in
+/// the world, each position and quaternion (7 f32); the devices, each role, lookup, tracking and a
+/// zero (u8 each), position and quaternion; the timings, two f32 each; the contacts of the feet with
+/// the ground, each position and force in newtons (6 f32); the things in the scene, each position,
+/// quaternion and whether the body touches it (u32). Devices are where the sensors of the body parts
+/// are worn.
 pub(super) fn pose(pose: &PublishedPose, mounts: &Mounts, timings: &[Timing]) -> Vec<u8> {
     let devices: Vec<_> = Role::ALL
         .into_iter()
@@ -32,7 +33,8 @@ pub(super) fn pose(pose: &PublishedPose, mounts: &Mounts, timings: &[Timing]) ->
         .collect();
     let contacts = contacts(pose);
     let timings = &timings[timings.len().saturating_sub(TIMINGS_MAX)..];
-    let lists = devices.len() * 32 + timings.len() * 8 + contacts.len() * 24;
+    let things = pose.objects.len() * 32;
+    let lists = devices.len() * 32 + timings.len() * 8 + contacts.len() * 24 + things;
     let mut bytes = Vec::with_capacity(20 + 22 * 28 + lists);
     // The browser only looks whether it grows.
     bytes.extend((pose.sequence as u32).to_le_bytes());
@@ -40,7 +42,8 @@ pub(super) fn pose(pose: &PublishedPose, mounts: &Mounts, timings: &[Timing]) ->
     bytes.extend([pose.quality as u8, pose.kind as u8]);
     bytes.extend(counts);
     bytes.extend((pose.target_at.0 as f64 * 1e-9).to_le_bytes());
-    bytes.extend((contacts.len() as u32).to_le_bytes());
+    bytes.extend((contacts.len() as u16).to_le_bytes());
+    bytes.extend((pose.objects.len() as u16).to_le_bytes());
     let joints = pose.joints.positions.iter().zip(&pose.joints.rotations);
     for (position, rotation) in joints {
         floats(&mut bytes, &position.to_array());
@@ -58,6 +61,11 @@ pub(super) fn pose(pose: &PublishedPose, mounts: &Mounts, timings: &[Timing]) ->
     for foot in contacts {
         floats(&mut bytes, &foot.centre.to_array());
         floats(&mut bytes, &foot.force.to_array());
+    }
+    for object in pose.objects.iter() {
+        floats(&mut bytes, &object.position.to_array());
+        floats(&mut bytes, &object.rotation.to_array());
+        bytes.extend(u32::from(object.touched).to_le_bytes());
     }
     bytes
 }
@@ -93,6 +101,7 @@ pub(super) fn hello(page: &Page) -> Value {
         "tracker_names": TrackerKind::ALL.map(TrackerKind::name),
         "trackers": page.services.control.trackers().iter().map(|kind| kind.name()).collect::<Vec<_>>(),
         "rate_hz": page.rate_hz,
+        "objects": page.services.control.objects(),
     }})
 }
 
@@ -159,6 +168,9 @@ pub(super) fn status(page: &Page) -> Value {
         "devices": devices,
         "stations": stations,
         "ticks": ticks,
+        "recoveries": page.services.hub.latest().and_then(|pose| pose.recoveries).map(|counts| {
+            json!({ "falls": counts.falls, "drifts": counts.drifts, "faults": counts.faults })
+        }),
         "starts": *page.services.control.resets().borrow(),
         "recording": page.services.recorder.recording().map(|recording| json!({
             "poses": recording.poses,
@@ -185,11 +197,15 @@ mod tests {
         let bytes = pose(&published, &Mounts::index(&wearer), &timings);
         let float = |at: usize| f32::from_le_bytes(bytes[at..at + 4].try_into().unwrap());
         let vector = |at: usize| Vec3::new(float(at), float(at + 4), float(at + 8));
-        assert_eq!(bytes.len(), 20 + 22 * 28 + 3 * 32 + 2 * 8 + 2 * 24);
+        assert_eq!(bytes.len(), 20 + 22 * 28 + 3 * 32 + 2 * 8 + 2 * 24 + 32);
         assert_eq!((&bytes[..4], bytes[4], bytes[5]), (&[7, 0, 0, 0][..], 3, 0));
         assert_eq!(bytes[6..8], [3, 2], "three devices, two timings");
         assert_eq!(f64::from_le_bytes(bytes[8..16].try_into().unwrap()), 2.5);
-        assert_eq!(bytes[16..20], [2, 0, 0, 0], "both feet stand");
+        assert_eq!(
+            bytes[16..20],
+            [2, 0, 1, 0],
+            "both feet stand, one thing lies there"
+        );
         for joint in 0..22 {
             assert_eq!(vector(20 + joint * 28), published.joints.positions[joint]);
             assert_eq!(
@@ -222,6 +238,10 @@ mod tests {
             (feet[0].centre, feet[0].force)
         );
         assert_eq!(vector(foot + 24), feet[1].centre);
+        let thing = foot + 2 * 24;
+        assert_eq!(vector(thing), published.objects[0].position);
+        assert_eq!(float(thing + 24), published.objects[0].rotation.w);
+        assert_eq!(bytes[thing + 28..], [0; 4], "untouched");
     }
 
     #[test]
@@ -230,7 +250,8 @@ mod tests {
         let timings: Vec<_> = (0..100).map(|index| [index as f32, 0.0]).collect();
         let bytes = pose(&published, &Mounts::IDENTITY, &timings);
         assert_eq!(usize::from(bytes[7]), TIMINGS_MAX);
-        let last = bytes.len() - 8;
+        let things = 32 * published.objects.len();
+        let last = bytes.len() - 8 - things;
         assert_eq!(bytes[last..last + 4], 99f32.to_le_bytes());
     }
 }

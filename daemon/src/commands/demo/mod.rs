@@ -175,7 +175,7 @@ fn serve(
             heights: Heights::of(HEIGHT),
             tracker: TRACKER,
             trackers,
-            objects: 0,
+            objects: Vec::new(),
         },
         clock: Arc::new(Monotonic),
     };

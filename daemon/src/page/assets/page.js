@@ -85,7 +85,7 @@ function takePose(view) {
   const quaternion = (at) => [...vector(at), float(at + 12)];
   const sequence = view.getUint32(0, true);
   const [quality, tracker, deviceCount, timingCount] = [4, 5, 6, 7].map((at) => view.getUint8(at));
-  const contactCount = view.getUint32(16, true);
+  const [contactCount, thingCount] = [16, 18].map((at) => view.getUint16(at, true));
   let at = 20;
   const joints = [];
   for (let joint = 0; joint < JOINTS; joint++, at += 28) {
@@ -107,9 +107,14 @@ function takePose(view) {
   for (let contact = 0; contact < contactCount; contact++, at += 24) {
     contacts.push({ position: vector(at), force: vector(at + 12) });
   }
+  const things = [];
+  for (let thing = 0; thing < thingCount; thing++, at += 32) {
+    things.push({ position: vector(at), rotation: quaternion(at + 12),
+      isTouched: view.getUint32(at + 28, true) > 0 });
+  }
   span += pose && sequence > pose.sequence ? sequence - pose.sequence : 1;
   say("");
-  pose = { sequence, quality, tracker, joints, devices, contacts };
+  pose = { sequence, quality, tracker, joints, devices, contacts, things };
   isNew = true;
 }
 
@@ -122,6 +127,7 @@ function takeHello(news) {
   hello = news;
   if (scene) {
     scene.stations = [];
+    scene.objects = hello.objects;
     scene.isDirty = true;
   }
   listed.clear();
@@ -177,7 +183,8 @@ function set(element, text, state) {
   if (state && element.dataset.state !== state) element.dataset.state = state;
 }
 
-function takeStatus({ height_m, devices, stations, ticks, starts, recording, replay }) {
+function takeStatus(
+  { height_m, devices, stations, ticks, recoveries, starts, recording, replay }) {
   // How often the tracker was told to start anew: for whoever tests the page.
   document.body.dataset.starts = starts;
   if (height !== height_m) {
@@ -201,6 +208,7 @@ function takeStatus({ height_m, devices, stations, ticks, starts, recording, rep
       ["late ticks", `${ticks.late} of ${ticks.done}`],
       ["latest", `${ticks.lateness_max_ms.toFixed(2)} ms`],
       ["real-time", ticks.real_time ? "yes" : "no"],
+      ...(recoveries ? [["put back", `${recoveries.falls} falls, ${recoveries.drifts} drifts`]] : []),
     ]);
   }
 }

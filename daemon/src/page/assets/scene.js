@@ -129,6 +129,7 @@ export class Scene {
     this.target = [0, 0.95, 0];
     this.facing = 0;
     this.stations = [];
+    this.objects = [];
     this.fineness = 1;
     this.interval = 1000 / 60;
     this.patience = 40;
@@ -238,7 +239,8 @@ export class Scene {
   }
 
   // Draws a pose: `joints` of 22 { position, rotation }, `devices` of { role, lookup, tracking,
-  // position, rotation }, `contacts` of { position, force } and its quality, 0 (held) to 3.
+  // position, rotation }, `contacts` of { position, force }, `things` of { position, rotation,
+  // isTouched }, which look as `objects` say in the configuration's words, and its quality, 0 (held) to 3.
   // Nothing is done where it would look as before.
   draw(pose) {
     const { gl, canvas } = this;
@@ -345,6 +347,7 @@ export class Scene {
     if (pose) {
       this.body(solids, pose);
       for (const device of pose.devices) this.device(solids, device);
+      pose.things.forEach((thing, index) => this.thing(solids, thing, this.objects[index]));
     }
     this.bodyEnd = solids.triangleCount;
     if (pose) {
@@ -400,6 +403,29 @@ export class Scene {
     const { accent } = this.colours;
     solids.box(position, [0, 0, 0, 1], [0.045, 0.006, 0.045], accent);
     solids.arrow(position, add(position, scale(force, ARROW_M_PER_N)), 0.022, accent);
+  }
+
+  // A thing in the character's scene.
+  thing(solids, { position, rotation, isTouched }, shape) {
+    if (!shape) return;
+    const { device, accent, floor } = this.colours;
+    const colour = mix(mix(device, floor, 0.5), accent, isTouched ? 0.7 : 0);
+    const part = (centre, half) => {
+      solids.box(add(position, turn(rotation, centre)), rotation, half, colour);
+    };
+    if (shape.kind === "ball") {
+      const up = [0, 0.01 * shape.radius, 0];
+      solids.capsule(subtract(position, up), shape.radius, add(position, up), shape.radius, colour);
+    } else if (shape.kind === "box") {
+      part([0, 0, 0], shape.size.map((edge) => edge / 2));
+    } else {
+      const { seat } = shape;
+      part([0, seat - 0.02, 0], [0.22, 0.02, 0.22]);
+      part([0, seat + 0.225, 0.21], [0.22, 0.225, 0.015]);
+      for (const [x, z] of [[-0.2, -0.2], [0.2, -0.2], [-0.2, 0.2], [0.2, 0.2]]) {
+        part([x, seat / 2 - 0.02, z], [0.02, seat / 2 - 0.02, 0.02]);
+      }
+    }
   }
 
   device(solids, { role, lookup, tracking, position, rotation }) {

@@ -147,7 +147,8 @@ fn a_limp_character_falls_and_is_put_back_without_a_jump() {
     let mut tracker =
         QuestSim::load(&runtime, "limp", LIMP, stand_in, Options::default()).expect("a policy");
     let wearer = Wearer::of_height(1.75);
-    let mut last: Option<BodyPose> = None;
+    let (mut last, mut put_back): (Option<BodyPose>, Option<u64>) = (None, None);
+    let mut own = 0;
     // Ninety ticks a second, off the policy's own grid.
     for tick in 0..450u64 {
         let target = HostTime(1_000_000_000 + tick * 11_111_111);
@@ -157,14 +158,24 @@ fn a_limp_character_falls_and_is_put_back_without_a_jump() {
             wearer: &wearer,
             inertial: &NO_INERTIAL,
         };
-        let pose = tracker.track(&input).pose;
+        let before = tracker.recoveries().expect("a simulation");
+        let tracked = tracker.track(&input);
+        let pose = tracked.pose;
         assert!(pose.is_sound());
         if let Some(last) = last {
             let moved = pose.root.distance(last.root);
             assert!(moved < 0.12, "tick {tick}: the pelvis moved {moved} m");
         }
         last = Some(pose);
+        if tracker.recoveries() != Some(before) {
+            put_back = Some(tick);
+        }
+        // What is shown is the stand-in's for the 200 ms in which it leads over.
+        let fades = put_back.is_some_and(|since| tick - since <= 17);
+        assert!(!fades || tracked.kind == TrackerKind::Ik, "tick {tick}");
+        own += u32::from(tracked.kind == TrackerKind::QuestSim);
     }
+    assert!(own > 100, "{own} ticks are the character's own");
     let counts = tracker.recoveries().expect("a simulation");
     assert!(counts.falls + counts.drifts >= 2, "{counts:?}");
     assert_eq!(counts.faults, 0);

@@ -29,6 +29,17 @@ class LaneState:
         return torch.multinomial(weight, count, replacement=True, generator=self.generator)
 
 
+def shares_of(told, usual):
+    """The lanes' time of each set: `usual`, but for what `told` ("bandai=0.5,snu=0.1") says."""
+    shares = dict(usual)
+    for each in filter(None, (told or "").split(",")):
+        name, _, share = each.partition("=")
+        if name not in usual:
+            raise ValueError(f"--shares: no set is called {name!r}: {', '.join(usual)}")
+        shares[name] = float(share)
+    return shares
+
+
 def clip_weights(sources, length, usable, shares, span, visit):
     """How likely each clip is begun (clips,), so that the sets have `shares` of the lanes' time.
 

@@ -86,12 +86,12 @@ class Lanes(LaneState):
     so the first part of a training sees more motion for its time at 20 or 30 Hz.
     """
 
-    def __init__(self, store, batch, frames, seed, augment=True, stride=1):
+    def __init__(self, store, batch, frames, seed, augment=True, stride=1, shares=SET_WEIGHTS):
         self.store, self.batch, self.frames, self.augment = store, batch, frames, augment
         self.stride, self.span = stride, frames * stride
         super().__init__(seed)
         length = (store.start[1:] - store.start[:-1]).double()
-        self.weight = clip_weights(store.sources, length, length > 80, SET_WEIGHTS, self.span, VISIT)
+        self.weight = clip_weights(store.sources, length, length > 80, shares, self.span, VISIT)
         self.length = length
         self.lane = {
             "clip": torch.zeros(batch, dtype=torch.long),

@@ -17,13 +17,14 @@ import torch
 
 from common import checkpoint, schedule
 from common.average import Average
+from common.lanes import shares_of
 from common.log import Log
 from common.optimizer import MuonAdamW
 from posed_mocap import store as stores
 
 from .checkpoint import build_model
 from .evaluate import table
-from .lanes import Lanes
+from .lanes import SET_WEIGHTS, Lanes
 from .losses import losses, total
 from .sample import Sample, build
 from .workers import Workers, spawn
@@ -37,6 +38,7 @@ def arguments():
     parser.add_argument("--store", help="one training file made by hmd_nemo.pack, instead")
     parser.add_argument("--validation", help="one validation file made by hmd_nemo.pack")
     parser.add_argument("--sets", default=",".join(stores.TRAIN_SETS))
+    parser.add_argument("--shares", help="SET=SHARE,... of the lanes' time, beside the usual ones")
     parser.add_argument("--cache", default=stores.default_cache())
     parser.add_argument("--out", required=True, help="folder of checkpoints and logs")
     parser.add_argument("--start", help="checkpoint to begin from where --out has none")
@@ -84,7 +86,7 @@ class Run:
             store = stores.cached(args.mocap, args.cache, args.sets.split(","), ["train"])
         share = args.batch // workers.count
         self.lanes = Lanes(store, share, args.frames, args.seed * 1000 + workers.rank,
-                           stride=args.stride)
+                           stride=args.stride, shares=shares_of(args.shares, SET_WEIGHTS))
         model = build_model(args.family, args.model)
         if args.fixed_mask:
             config = {**asdict(model.config), "tamt": False}

@@ -17,6 +17,7 @@ import torch
 
 from common import checkpoint, schedule
 from common.average import Average
+from common.lanes import shares_of
 from common.log import Log
 from common.optimizer import MuonAdamW
 from posed_mocap import store as stores
@@ -40,8 +41,7 @@ def arguments():
     parser.add_argument("--mocap", required=True, help="folder of the shared .npz sets")
     parser.add_argument("--sets", default=",".join(stores.TRAIN_SETS))
     parser.add_argument("--cache", default=stores.default_cache())
-    parser.add_argument("--sitting", type=float, default=SET_WEIGHTS["sitting"],
-                        help="share of made-up sitters, beside about 1 of the other sets together")
+    parser.add_argument("--shares", help="SET=SHARE,... of the lanes' time, beside the usual ones")
     parser.add_argument("--out", required=True, help="folder of checkpoints and logs")
     parser.add_argument("--start", help="checkpoint to begin from where --out has none")
     parser.add_argument("--model", default="small")
@@ -67,7 +67,7 @@ class Run:
         torch.manual_seed(args.seed)
         torch.set_float32_matmul_precision("medium")
         motions = motion.cached(args.mocap, args.cache, args.sets.split(","), ["train"])
-        shares = {**SET_WEIGHTS, "sitting": args.sitting}
+        shares = shares_of(args.shares, SET_WEIGHTS)
         self.lanes = Lanes(
             motions, args.batch, args.frames, args.seed, args.stride, shares=shares)
         self.model = build_model(args.model)

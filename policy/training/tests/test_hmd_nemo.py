@@ -5,10 +5,12 @@ from types import SimpleNamespace
 
 import numpy as np
 import onnxruntime
+import pytest
 import torch
 
 from common import checkpoint
 from common.golden import procedural_motion
+from common.lanes import shares_of
 from common.optimizer import MuonAdamW, orthogonal
 from hmd_nemo import export, golden, step
 from hmd_nemo.avatar_poser import AvatarPoser, AvatarPoserConfig, WindowStep
@@ -168,7 +170,7 @@ def arguments(whole_path, out, **changes):
     values = dict(
         seed=1, store=str(whole_path), mocap=None, device="cpu", batch=4, frames=20,
         family="hmd_nemo", model="tiny", fixed_mask=False, rate=1e-2, steps=100,
-        decay=0, out=str(out), threads=1, stride=1,
+        decay=0, out=str(out), threads=1, stride=1, shares=None,
         fresh_optimizer=False, warmup=5, until=None,
     )
     return SimpleNamespace(**{**values, **changes})
@@ -292,3 +294,11 @@ def test_golden_vectors_hold_what_the_contract_says(tmp_path):
     rotation, _, _, _, yaw, _ = golden.motion_features()
     assert torch.allclose(quat_to_matrix(quats), rotation, atol=1e-5)
     assert torch.allclose(torch.tensor(data["yaw"]), yaw, atol=1e-4)
+
+
+def test_shares_are_told_by_name():
+    usual = {"a": 0.3, "b": 0.7}
+    assert shares_of(None, usual) == usual
+    assert shares_of("b=0.2", usual) == {"a": 0.3, "b": 0.2}
+    with pytest.raises(ValueError, match="'c'"):
+        shares_of("c=1", usual)

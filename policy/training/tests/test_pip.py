@@ -136,7 +136,7 @@ def test_full_model_has_the_papers_size():
 
 def arguments(tmp_path, **changes):
     values = dict(seed=1, mocap=None, cache=None, sets="", model="tiny", no_initial=False, only=None,
-                  sitting=0.35, batch=6, frames=16, stride=1, rate=5e-3, warmup=3, steps=100, decay=0,
+                  shares=None, batch=6, frames=16, stride=1, rate=5e-3, warmup=3, steps=100, decay=0,
                   until=None, until_decay=0, out=str(tmp_path))
     return SimpleNamespace(**{**values, **changes})
 

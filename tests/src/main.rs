@@ -9,6 +9,7 @@ mod naming;
 mod pip;
 mod questsim;
 mod shared;
+mod sitting;
 mod stage;
 mod tidy;
 mod trackers;

@@ -15,7 +15,7 @@ def model_card(name, facts):
     """Markdown."""
     training = facts["training"]
     told = flags(training, ("model", "family", "batch", "frames", "stride", "rate", "decay",
-                            "until_decay", "steps", "seed"))
+                            "until_decay", "steps", "shares", "seed"))
     return f"""# {name}
 
 HMD-NeMo: whole-body pose from a headset and two hands that may be out of view, one frame at a

@@ -11,7 +11,8 @@ COLUMNS = [
 def model_card(name, facts):
     """Markdown."""
     training, config = facts["training"], facts["config"]
-    told = flags(training, ("model", "only", "batch", "frames", "stride", "rate", "seed"))
+    told = flags(training, ("model", "only", "batch", "frames", "stride", "rate", "shares",
+                            "seed"))
     return f"""# {name}
 
 PIP's five recurrent networks: a moving body from six inertial sensors (forearms, shanks, head,
@@ -45,5 +46,5 @@ tracker as it runs, with physics.
 ## Limits
 
 Trained on few people and mostly on walking, gestures and idling. Lying, crawling and acrobatics
-are outside. Sitting is rare in the data: who sits down is often shown standing.
+are outside. Sitting was learnt from made-up people alone.
 """

@@ -17,12 +17,12 @@ pub struct Upright {
 }
 
 impl Upright {
-    /// Takes the eyes' height in metres, how far the head leans from upright in radians, and how
-    /// fast it turns in rad/s, at a time in seconds. Answers the eyes' height once it is known: the middle of
-    /// two seconds in which it hardly changed.
+    /// Takes the eyes' height in metres, how far the head leans from upright in radians, to either
+    /// side, and how fast it turns in rad/s, at a time in seconds. Answers the eyes' height once it
+    /// is known: the middle of two seconds in which it hardly changed.
     pub fn watch(&mut self, time: f64, height: f64, lean: f64, rate: f64) -> Option<f64> {
         // Written so that what is no number does not count as upright.
-        if !(lean <= UPRIGHT.1 && height.is_finite()) {
+        if !(lean.abs() <= UPRIGHT.1 && height.is_finite()) {
             self.since = None;
             return None;
         }

@@ -13,12 +13,11 @@ use posed::{
     simulated,
 };
 use posed_body::{motion::Trajectory, skeleton::PARENTS};
-use posed_signal::{HostTime, Lookup, Pose, Role};
+use posed_signal::HostTime;
 use posed_tracker::{
-    Input, Tracker, TrackerKind,
+    Tracker, TrackerKind,
     eval::{Bones, Sensors, Shown, Straps},
     questsim,
-    tracker::NO_INERTIAL,
 };
 use serde_json::json;
 
@@ -37,28 +36,11 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         ..questsim::Options::default()
     };
     let mut tracker = Models::load()?.questsim(None, options)?;
-    let parts = |seconds: f64, at: HostTime| -> [Lookup<Pose>; Role::COUNT] {
-        Role::ALL.map(|role| {
-            shown
-                .pose(role, seconds, at)
-                .map_or(Lookup::Empty, Lookup::Exact)
-        })
-    };
     let mut frames = Vec::new();
     for tick in 0..(SPAN_S[1] * RATE_HZ) as u32 {
         let seconds = f64::from(tick) / RATE_HZ;
         let target = HostTime::from_secs_f64(1.0 + seconds);
-        for (index, &by_ns) in tracker.foresight().iter().enumerate() {
-            let at = target.plus_ns(by_ns);
-            tracker.foresee(index, at, &parts(seconds + by_ns as f64 * 1e-9, at));
-        }
-        let input = Input {
-            target,
-            parts: &parts(seconds, target),
-            inertial: &NO_INERTIAL,
-            wearer: &wearer,
-        };
-        let tracked = tracker.track(&input);
+        let tracked = shown.track(&mut tracker, &wearer, seconds, target);
         if seconds < SPAN_S[0] {
             continue;
         }

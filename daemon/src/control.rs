@@ -10,7 +10,7 @@ use tokio::sync::watch;
 
 use crate::{
     config::HEIGHT_M,
-    heights::Heights,
+    heights::{Avatar, Heights},
     pipeline::{source::Buzz, tracking::Request},
 };
 
@@ -143,11 +143,7 @@ impl Control {
 
     /// The tracker loop has measured the wearer, and starts anew.
     pub fn measured(&self, metres: f32) {
-        let wearer = metres;
-        self.tell(Heights {
-            wearer,
-            ..self.heights()
-        });
+        self.tell(self.heights().told(metres, Avatar::Keep));
         self.resets.send_modify(|count| *count += 1);
     }
 
@@ -212,7 +208,6 @@ pub(crate) mod tests {
     use posed_tracker::ObjectMove;
 
     use super::*;
-    use crate::heights::Avatar;
 
     fn height(metres: f32) -> Request {
         Request::Height {

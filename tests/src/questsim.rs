@@ -18,12 +18,11 @@ use posed_body::{
     scene::{Object, Scene},
 };
 use posed_device::transport::Event;
-use posed_signal::{HostTime, Lookup, Pose, Role, VirtualClock};
+use posed_signal::{HostTime, VirtualClock};
 use posed_tracker::{
-    Input, ObjectMove, Objects, Tracked, Tracker, TrackerKind,
+    ObjectMove, Objects, Tracked, Tracker, TrackerKind,
     eval::{Bones, Sensors, Shown, Straps},
     questsim,
-    tracker::NO_INERTIAL,
 };
 
 use crate::{
@@ -63,28 +62,11 @@ fn walk(scene: &Scene) -> Vec<Moment> {
         ..questsim::Options::default()
     };
     let mut tracker = models().questsim(None, options).expect("the model fits");
-    let parts = |seconds: f64, at: HostTime| -> [Lookup<Pose>; Role::COUNT] {
-        Role::ALL.map(|role| {
-            shown
-                .pose(role, seconds, at)
-                .map_or(Lookup::Empty, Lookup::Exact)
-        })
-    };
     let ticks = (WALK_S[1] * RATE_HZ) as u32;
     let one = |tick| {
         let seconds = f64::from(tick) / RATE_HZ;
         let target = HostTime::from_secs_f64(1.0 + seconds);
-        for (index, &by_ns) in tracker.foresight().iter().enumerate() {
-            let at = target.plus_ns(by_ns);
-            tracker.foresee(index, at, &parts(seconds + by_ns as f64 * 1e-9, at));
-        }
-        let input = Input {
-            target,
-            parts: &parts(seconds, target),
-            inertial: &NO_INERTIAL,
-            wearer: &wearer,
-        };
-        let tracked = tracker.track(&input);
+        let tracked = shown.track(&mut tracker, &wearer, seconds, target);
         assert!(tracked.pose.is_sound(), "{seconds} s");
         assert!(
             tracked.forces.is_none_or(|forces| forces.is_sound()),

@@ -5,9 +5,10 @@ use posed_body::{
     Joint,
     motion::{Clip, JointMotion, Trajectory},
 };
-use posed_signal::{HostTime, Orientation, Pose, PoseHow, Role};
+use posed_signal::{HostTime, Lookup, Orientation, Pose, PoseHow, Role};
 
 use super::inertial::{Placement, Straps};
+use crate::tracker::{Input, NO_INERTIAL, Tracked, Tracker, Wearer};
 
 /// Which devices the wearer has on.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -126,6 +127,33 @@ impl<'a> Shown<'a> {
     #[must_use]
     pub fn duration(&self) -> f64 {
         self.trajectory.duration()
+    }
+
+    /// What a tracker makes at `target` of the body parts as they are then, `seconds` into the
+    /// motion, with no delay and none missed; it looks ahead as far as it asks to.
+    pub fn track(
+        &self,
+        tracker: &mut dyn Tracker,
+        wearer: &Wearer,
+        seconds: f64,
+        target: HostTime,
+    ) -> Tracked {
+        let parts = |seconds: f64, at: HostTime| -> [Lookup<Pose>; Role::COUNT] {
+            Role::ALL.map(|role| {
+                self.pose(role, seconds, at)
+                    .map_or(Lookup::Empty, Lookup::Exact)
+            })
+        };
+        for (index, &by_ns) in tracker.foresight().iter().enumerate() {
+            let at = target.plus_ns(by_ns);
+            tracker.foresee(index, at, &parts(seconds + by_ns as f64 * 1e-9, at));
+        }
+        tracker.track(&Input {
+            target,
+            parts: &parts(seconds, target),
+            inertial: &NO_INERTIAL,
+            wearer,
+        })
     }
 
     /// The pose of a role's body part, stamped `at`; `None` where nothing is worn there.

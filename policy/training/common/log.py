@@ -2,6 +2,7 @@
 
 import csv
 import json
+from pathlib import Path
 
 
 def append(path, row):
@@ -20,6 +21,14 @@ def record(path, row):
     with open(path, "a") as file:
         print(line, file=file)
     print(line, flush=True)
+
+
+def cut(path, key, last):
+    """Takes away the lines of `record` beyond `last` by `key`: a run that goes on makes them again."""
+    path = Path(path)
+    if path.exists():
+        lines = path.read_text().splitlines(keepends=True)
+        path.write_text("".join(line for line in lines if json.loads(line)[key] <= last))
 
 
 class Log:

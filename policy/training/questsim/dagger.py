@@ -1,23 +1,28 @@
 """Stage (c): the expert's torques taught to the student (DAgger, Ross et al. 2011).
 
 Each round plays episodes, mostly with the student at the wheel, asks the expert what it would
-have done in every state, and trains on all that was ever answered. A round depends on the weights
-before it and on its number alone: killed and started again, the curve is the same.
+have done in every state, and trains on all that was ever answered, and on its mirror image. A round
+depends on the weights before it and on its number alone: killed and started again, the curve is the
+same.
 """
 
 import argparse
 import time
+from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 import numpy as np
 import torch
 
 from common import checkpoint
+from common.average import Average
 from common.log import record
+from common.optimizer import MuonAdamW
 
 from .expert import Expert
+from .mirror import Mirror, Symmetric
 from .motion import Motion
-from .student import Mlp
+from .student import LAST, Mlp
 from .worlds import Options, Worlds
 
 LOOKAHEADS = (6, 6, 2, 0)
@@ -51,52 +56,27 @@ class Memory:
         return torch.cat(inputs).float(), torch.cat(labels).float()
 
 
-class Run:
-    """Everything that a checkpoint holds, and how it is carried on."""
+class Player:
+    """Plays a round's episodes; lives in a process of its own, so that playing and learning share
+    two cores."""
 
-    def __init__(self, motion, out, args):
-        self.motion, self.out, self.args = motion, Path(out), args
-        torch.manual_seed(args.seed)
+    def __init__(self, motion, args):
+        self.motion, self.args = motion, args
         self.student = Mlp()
-        if args.start:
-            self.student.load_state_dict(checkpoint.load(args.start)["student"])
-        self.optimizer = torch.optim.Adam(self.student.parameters(), args.lr)
-        self.round, self.samples, self.seconds = 0, 0, 0.0
-        self.memory = Memory(args.keep)
 
-    def checkpoint(self):
-        return self.out / "state.pt"
-
-    def save(self):
-        """Weights, optimiser and counters; the data lies beside, one file a round."""
-        state = {"student": self.student.state_dict(), "optimizer": self.optimizer.state_dict(),
-                 "round": self.round, "samples": self.samples, "seconds": self.seconds}
-        checkpoint.save(self.checkpoint(), state)
-
-    def restore(self):
-        if not self.checkpoint().exists():
-            return
-        state = checkpoint.load(self.checkpoint())
-        self.student.load_state_dict(state["student"])
-        self.optimizer.load_state_dict(state["optimizer"])
-        self.round, self.samples = state["round"], state["samples"]
-        self.seconds = state["seconds"]
-        for number in range(max(0, self.round - self.args.keep), self.round):
-            with np.load(self.shard(number)) as data:
-                self.memory.add(data["inputs"], data["labels"])
-
-    def shard(self, number):
-        return self.out / f"round-{number:05}.npz"
-
-    def play(self):
-        """Episodes of one round: observations (n, 475) and the expert's answers (n, 33)."""
+    def play(self, number, weights):
+        """Observations (n, 475), the expert's answers (n, 33), both float16, and figures."""
         args = self.args
-        rng = np.random.default_rng((args.seed, self.round))
-        worlds = Worlds(self.motion, args.worlds, (args.seed, self.round, 1),
-                        Options(lookaheads=LOOKAHEADS, headset_only=0.25))
+        self.student.load_state_dict(weights)
+        driver = Symmetric(self.student)
+        rng = np.random.default_rng((args.seed, number))
+        worlds = Worlds(self.motion, args.worlds, (args.seed, number, 1),
+                        Options(lookaheads=LOOKAHEADS, headset_only=0.25, jolted=args.jolted,
+                                misplaced=args.misplaced, standing=args.standing))
         expert = Expert(worlds)
         # Half of the worlds follow the expert at first, a tenth of them later.
-        share = 0.1 if args.start else max(0.1, args.share ** (self.round + 1))
+        taught = args.start or args.answers
+        share = 0.1 if taught else max(0.1, args.share ** (number + 1))
         led = rng.random(args.worlds) < share
         shaken = rng.random(args.worlds) < 0.5
         inputs, labels, lost_count, steps = [], [], 0, 0
@@ -105,7 +85,7 @@ class Run:
             seen = worlds.observe().astype(np.float32)
             answer = expert.act().astype(np.float32)
             with torch.no_grad():
-                own = self.student(torch.from_numpy(seen)).numpy()
+                own = driver(torch.from_numpy(seen)).numpy()
             keep = (worlds.lookahead.copy(), worlds.hands.copy())
             worlds.lookahead = rng.choice(LOOKAHEADS, args.worlds)
             worlds.hands = rng.random(args.worlds) < 0.75
@@ -124,45 +104,130 @@ class Run:
                 worlds.reset(again)
         figures = {"falls_per_minute": lost_count / max(steps, 1) * 36 * 60,
                    "terms": np.mean(rewards, 0).round(3).tolist(), "led": float(led.mean())}
-        return np.concatenate(inputs), np.concatenate(labels), figures
+        inputs, labels = np.concatenate(inputs), np.concatenate(labels)
+        return inputs.astype(np.float16), labels.astype(np.float16), figures
 
-    def learn(self):
-        """Mean error of the round's steps."""
+
+_player = None
+
+
+def _prepare(motion, args):
+    global _player
+    torch.set_num_threads(1)
+    _player = Player(motion, args)
+
+
+def _play(number, weights):
+    began = time.perf_counter()
+    return *_player.play(number, weights), time.perf_counter() - began
+
+
+class Run:
+    """Everything that a checkpoint holds, and how it is carried on."""
+
+    def __init__(self, motion, out, args):
+        self.motion, self.out, self.args = motion, Path(out), args
+        torch.manual_seed(args.seed)
+        self.student, self.mirror = Mlp(), Mirror()
+        if args.start:
+            self.student.load_state_dict(checkpoint.load(args.start)["student"])
+        self.average = Average(self.student)
+        self.optimizer = MuonAdamW(self.student.named_parameters(), args.lr, weight_decay=0.0,
+                                   split=(), plain=(LAST,))
+        self.round, self.samples, self.batches, self.seconds = 0, 0, 0, 0.0
+        self.memory = Memory(args.keep)
+        # Rounds are played while the one before is learnt from, with the weights before that.
+        self.driver = self.weights()
+
+    def weights(self):
+        """A copy of the averaged ones: they drive, and are what is evaluated and exported."""
+        return {key: value.clone() for key, value in self.average.weights.items()}
+
+    def save(self):
+        """Weights, optimiser and counters; the data lies beside, one file a round."""
+        state = {"student": self.average.weights, "raw": self.student.state_dict(),
+                 "driver": self.driver, "optimizer": self.optimizer.state_dict(),
+                 "round": self.round, "samples": self.samples, "batches": self.batches,
+                 "seconds": self.seconds}
+        checkpoint.save(self.out / "state.pt", state)
+
+    def restore(self):
+        """Goes on where the run in `out` stopped; begins where there is none."""
+        for path in sorted(Path(self.args.answers).glob("round-*.npz"))[-self.args.keep:] \
+                if self.args.answers else []:
+            self.remember(path)
+        if not (self.out / "state.pt").exists():
+            if self.args.answers:
+                self.student.normalise_by(torch.cat(self.memory.inputs[::5]).float())
+                self.average = Average(self.student)
+                self.learn(self.args.first)
+                self.driver = self.weights()
+                self.save()
+            return
+        state = checkpoint.load(self.out / "state.pt")
+        self.student.load_state_dict(state["raw"])
+        self.average.weights, self.driver = state["student"], state["driver"]
+        self.optimizer.load_state_dict(state["optimizer"])
+        self.round, self.samples = state["round"], state["samples"]
+        self.batches, self.seconds = state["batches"], state["seconds"]
+        for number in range(max(0, self.round - self.args.keep), self.round):
+            self.remember(self.shard(number))
+
+    def remember(self, path):
+        with np.load(path) as data:
+            self.memory.add(data["inputs"], data["labels"])
+
+    def shard(self, number):
+        return self.out / f"round-{number:05}.npz"
+
+    def learn(self, batches):
+        """Mean error of so many steps on answers that are remembered."""
         args = self.args
-        if self.round < args.settle and not args.start:
-            self.student.normalise_by(torch.cat(self.memory.inputs).float())
         generator = torch.Generator().manual_seed(args.seed * 100_003 + self.round)
         left = (args.rounds - self.round) / args.decay if args.rounds and args.decay else 1.0
         for group in self.optimizer.param_groups:
             group["lr"] = args.lr * max(0.02, min(1.0, left))
         total = 0.0
-        for _ in range(args.batches):
+        for _ in range(batches):
             inputs, labels = self.memory.pick(args.batch, generator)
-            error = (self.student(inputs) - labels).square().mean()
+            half = args.batch // 2
+            inputs[:half] = self.mirror.observation(inputs[:half])
+            labels[:half] = self.mirror.action(labels[:half])
+            with torch.autocast("cpu", torch.bfloat16, enabled=args.bfloat16):
+                answers = self.student(inputs)
+            error = (answers.float() - labels).square().mean()
             self.optimizer.zero_grad(set_to_none=True)
             error.backward()
             torch.nn.utils.clip_grad_norm_(self.student.parameters(), 1.0)
             self.optimizer.step()
+            self.average.follow(self.batches)
+            self.batches += 1
             total += error.item()
-        return total / args.batches
+        return total / batches
 
     def go(self):
         """Rounds until told to stop."""
-        while self.args.rounds is None or self.round < self.args.rounds:
-            began = time.perf_counter()
-            inputs, labels, figures = self.play()
-            inputs, labels = inputs.astype(np.float16), labels.astype(np.float16)
-            np.savez(self.shard(self.round), inputs=inputs, labels=labels)
-            self.memory.add(inputs, labels)
-            played = time.perf_counter()
-            error = self.learn()
-            self.round += 1
-            self.samples += len(inputs) // 2
-            self.seconds += time.perf_counter() - began
-            line = {"round": self.round, "states": self.samples, "error": error, **figures,
-                    "play_s": played - began, "hours": self.seconds / 3600}
-            self.save()
-            record(self.out / "curve.jsonl", line)
+        with ProcessPoolExecutor(1, initializer=_prepare,
+                                 initargs=(self.motion, self.args)) as pool:
+            played = pool.submit(_play, self.round, self.driver)
+            while self.args.rounds is None or self.round < self.args.rounds:
+                began = time.perf_counter()
+                inputs, labels, figures, seconds = played.result()
+                self.driver = self.weights()
+                played = pool.submit(_play, self.round + 1, self.driver)
+                np.savez(self.shard(self.round), inputs=inputs, labels=labels)
+                self.memory.add(inputs, labels)
+                if self.round < self.args.settle and not (self.args.start or self.args.answers):
+                    self.student.normalise_by(torch.cat(self.memory.inputs).float())
+                error = self.learn(self.args.batches)
+                self.round += 1
+                self.samples += len(inputs) // 2
+                self.seconds += time.perf_counter() - began
+                line = {"round": self.round, "states": self.samples, "error": error, **figures,
+                        "play_s": seconds, "hours": self.seconds / 3600}
+                self.save()
+                record(self.out / "curve.jsonl", line)
+            played.cancel()
 
 
 def parser():
@@ -170,15 +235,25 @@ def parser():
     parser.add_argument("--motion", required=True, help="file of questsim.prepare")
     parser.add_argument("--out", required=True)
     parser.add_argument("--start", help="weights to begin with: another run's state.pt")
+    parser.add_argument("--answers", help="folder of another run whose answers are learnt first")
+    parser.add_argument("--first", type=int, default=2000, help="batches of these")
     parser.add_argument("--rounds", type=int, help="stop after so many in all")
-    parser.add_argument("--worlds", type=int, default=48)
+    parser.add_argument("--worlds", type=int, default=96)
     parser.add_argument("--steps", type=int, default=72)
     parser.add_argument("--batches", type=int, default=60)
-    parser.add_argument("--batch", type=int, default=512)
+    parser.add_argument("--batch", type=int, default=2048)
+    parser.add_argument("--bfloat16", action="store_true",
+                        help="half the numbers' width: for processors with instructions for it")
+    parser.add_argument("--jolted", type=float, default=0.3,
+                        help="share of episodes that begin off the reference")
+    parser.add_argument("--misplaced", type=float, default=0.01,
+                        help="spread of where the devices sit on head and hands, metres")
+    parser.add_argument("--standing", type=float,
+                        help="share of episodes of somebody who stays about where it is")
     parser.add_argument("--keep", type=int, default=100, help="rounds that are remembered")
     parser.add_argument("--settle", type=int, default=5, help="rounds that set the normalisation")
     parser.add_argument("--share", type=float, default=0.8)
-    parser.add_argument("--lr", type=float, default=1e-3)
+    parser.add_argument("--lr", type=float, default=3e-3)
     parser.add_argument("--decay", type=int, default=0,
                         help="rounds before --rounds in which the rate falls")
     parser.add_argument("--seed", type=int, default=0)

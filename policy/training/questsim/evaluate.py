@@ -10,6 +10,7 @@ import numpy as np
 import torch
 
 from .expert import Expert
+from .mirror import Symmetric
 from .motion import Motion
 from .observation import FUTURE
 from .student import Mlp
@@ -56,11 +57,12 @@ def main():
     if args.checkpoint:
         student = Mlp()
         student.load_state_dict(torch.load(args.checkpoint, weights_only=True)["student"])
+        policy = Symmetric(student)
 
         @torch.no_grad()
         def ask(worlds):
             seen = torch.from_numpy(worlds.observe().astype(np.float32))
-            return student(seen).numpy()
+            return policy(seen).numpy()
 
         def act(worlds):
             return lambda: ask(worlds)

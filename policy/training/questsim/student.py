@@ -1,4 +1,8 @@
-"""The student: 475-400-300-200-33 with tanh (appendix A), its inputs normalised inside."""
+"""The student: 475-400-300-200-33 (appendix A), its inputs normalised inside.
+
+Its hidden layers are exponential linear units where the paper has tanh: fitted to the same answers for
+the same time they leave 7 to 8 % less error (README).
+"""
 
 import torch
 from torch import nn
@@ -7,6 +11,8 @@ from .character import HINGES
 from .observation import SIZE
 
 HIDDEN = (400, 300, 200)
+LAST = "layers.6"
+"""The layer of the outputs."""
 CLAMP = 8.0
 """Normalised inputs are cut off here."""
 
@@ -20,7 +26,7 @@ class Mlp(nn.Module):
         self.register_buffer("scale", torch.ones(SIZE))
         layers, width = [], SIZE
         for hidden in HIDDEN:
-            layers += [nn.Linear(width, hidden), nn.Tanh()]
+            layers += [nn.Linear(width, hidden), nn.ELU()]
             width = hidden
         self.layers = nn.Sequential(*layers, nn.Linear(width, outputs))
         with torch.no_grad():

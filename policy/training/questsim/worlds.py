@@ -10,13 +10,22 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from .character import HEAD, HINGES, LINKS, PELVIS, forward, rotation_log, quat_to_matrix
-from .observation import FUTURE, SUBSTEPS, future_parts, observe
+from .balance import keep_feet
+from .character import (FEET, HEAD, HINGES, LINKS, PELVIS, forward, quat_to_matrix, rotate,
+                        rotation_exp, rotation_log)
+from .observation import FUTURE, PARTS, SUBSTEPS, future_parts, observe
 
 LOST = 0.5
 """An episode ends when pelvis or head are so far from the reference, metres."""
 FALLEN = 0.55
 """It ends too when the pelvis is below this share of its height in the reference."""
+STATE = mujoco.mjtState.mjSTATE_INTEGRATION
+CARRIED = ("clip", "frame", "age", "lookahead", "hands", "feet", "mounts")
+STAYS = 0.4
+"""Clips in which the pelvis goes slower than this over the floor are of somebody standing, m/s."""
+JOLT_TILT, JOLT_ANGLES, JOLT_FEET, JOLT_YAW = 0.04, 0.06, 0.05, 0.12
+JOLT_SPEED, JOLT_RATES = 0.1, 0.5
+"""Spread of a jolted start: radians, radians, metres, radians; m/s, rad/s."""
 WEIGHTS = np.array([0.4, 0.1, 0.2, 0.1, 0.2])
 KERNELS = np.array([40.0, 0.3, 6.0, 2.0, 0.01])
 """Reward (4), in the order angles, rates, positions, velocities, falling contact force."""
@@ -34,6 +43,12 @@ class Options:
     """Share of the helping wrench on the pelvis."""
     lost: float = LOST
     random_start: bool = True
+    jolted: float = 0.0
+    """Share of episodes that begin off the reference, as a tracker's do that knows no legs."""
+    misplaced: float = 0.0
+    """Spread of where the devices sit on head and hands in an episode, off where they should, metres."""
+    standing: float | None = None
+    """Share of episodes in which the mover stays about where it is; as in the motion by default."""
 
 
 class Worlds:
@@ -43,7 +58,8 @@ class Worlds:
         self.motion, self.count = motion, count
         self.options = options or Options()
         self.rng = np.random.default_rng(seed)
-        self.pool = [{} for _ in range(count)]
+        # Of each character, those that no world uses at present.
+        self.spare = {}
         self.data = [None] * count
         self.models = [None] * count
         self.clip = np.zeros(count, np.int64)
@@ -51,6 +67,7 @@ class Worlds:
         self.age = np.zeros(count, np.int64)
         self.lookahead = np.zeros(count, np.int64)
         self.hands = np.ones(count, bool)
+        self.mounts = np.zeros((count, PARTS, 3))
         self.offsets = np.zeros((count, LINKS, 3))
         self.stature = np.zeros(count)
         self.torque = np.ones((count, HINGES))
@@ -61,7 +78,18 @@ class Worlds:
         lengths = np.diff(motion.start)
         self.usable = np.flatnonzero(lengths > FUTURE + 4)
         self.weight = lengths[self.usable] / lengths[self.usable].sum()
+        if self.options.standing is not None:
+            self.weight = self.by_kind(self.weight, self.options.standing)
         self.reset(np.arange(count))
+
+    def by_kind(self, weight, standing):
+        """Clips' chances so that `standing` of all are of somebody who stays."""
+        bounds = zip(self.motion.start[self.usable], self.motion.start[self.usable + 1])
+        pace = [np.linalg.norm(self.motion.qvel[a:b, [0, 2]], axis=1).mean() for a, b in bounds]
+        stays = np.array(pace) < STAYS
+        shares = np.where(stays, standing / max(weight[stays].sum(), 1e-9),
+                          (1 - standing) / max(weight[~stays].sum(), 1e-9))
+        return weight * shares / (weight * shares).sum()
 
     def reset(self, which, clips=None):
         """Starts episodes afresh, in clips of their own choice or in those given."""
@@ -74,14 +102,46 @@ class Worlds:
             self.frame[world] = motion.start[clip] + first
             self.lookahead[world] = self.rng.choice(self.options.lookaheads)
             self.hands[world] = self.rng.random() >= self.options.headset_only
-            index = motion.character[clip]
-            character = motion.characters[index]
-            if index not in self.pool[world]:
-                self.pool[world][index] = mujoco.MjData(character.model)
-            self.data[world], self.models[world] = self.pool[world][index], character.model
-            self.offsets[world], self.stature[world] = character.offsets, character.stature
-            self.torque[world] = character.torque
+            if self.options.misplaced:
+                self.mounts[world] = self.rng.normal(0, self.options.misplaced, (PARTS, 3))
+            self.fill(world)
             self.place(world)
+            if self.options.jolted and self.rng.random() < self.options.jolted:
+                self.jolt(world)
+        self.refresh()
+
+    def fill(self, world):
+        """Puts the character of its clip into a world."""
+        index = self.motion.character[self.clip[world]]
+        character = self.motion.characters[index]
+        if self.models[world] is not character.model:
+            if self.data[world] is not None:
+                self.spare.setdefault(self.models[world], []).append(self.data[world])
+            spare = self.spare.get(character.model)
+            self.data[world] = spare.pop() if spare else mujoco.MjData(character.model)
+            self.models[world] = character.model
+        self.offsets[world], self.stature[world] = character.offsets, character.stature
+        self.torque[world] = character.torque
+
+    def snapshot(self):
+        """Everything that the worlds' future depends on, for `restore`."""
+        size = mujoco.mj_stateSize(self.models[0], STATE)
+        physics = np.empty((self.count, size))
+        for world in range(self.count):
+            mujoco.mj_getState(self.models[world], self.data[world], physics[world], STATE)
+        kept = {name: getattr(self, name).copy() for name in CARRIED}
+        return {"physics": physics, "random": self.rng.bit_generator.state, **kept}
+
+    def restore(self, kept):
+        """Goes on where `snapshot` was taken."""
+        self.rng.bit_generator.state = kept["random"]
+        for name in CARRIED:
+            setattr(self, name, kept[name].copy())
+        for world in range(self.count):
+            self.fill(world)
+            mujoco.mj_setState(self.models[world], self.data[world], kept["physics"][world], STATE)
+            self.qpos[world] = self.data[world].qpos[:40]
+            self.qvel[world] = self.data[world].qvel[:39]
         self.refresh()
 
     def place(self, world):
@@ -89,6 +149,36 @@ class Worlds:
         model, data, frame = self.models[world], self.data[world], self.frame[world]
         mujoco.mj_resetData(model, data)
         data.qpos[:40], data.qvel[:39] = self.motion.qpos[frame], self.motion.qvel[frame]
+        mujoco.mj_forward(model, data)
+        self._read(world)
+
+    def jolt(self, world):
+        """Puts a world's character off the reference: the head where it is, the feet elsewhere (no sole
+        below the floor), as a tracker has it that sees no legs."""
+        model, data, rng = self.models[world], self.data[world], self.rng
+        character = self.motion.characters[self.motion.character[self.clip[world]]]
+        qpos, still = data.qpos[None, :40].copy(), np.zeros((1, 39))
+
+        def frames():
+            return forward(character, character.offsets[None], qpos, still)
+
+        before = frames()
+        mujoco.mju_quatIntegrate(qpos[0, 3:7], rng.normal(0, JOLT_TILT, 3), 1.0)
+        qpos[0, 7:] = np.clip(qpos[0, 7:] + rng.normal(0, JOLT_ANGLES, HINGES),
+                              *character.ranges.T)
+        qpos[0, [0, 2]] += (before.position - frames().position)[0, HEAD, [0, 2]]
+        feet, turns = before.position[:, FEET].copy(), before.rotation[:, FEET].copy()
+        feet[0, :, [0, 2]] += rng.normal(0, JOLT_FEET, (2, 2))
+        yaw = np.zeros((2, 3))
+        yaw[:, 1] = rng.normal(0, JOLT_YAW, 2)
+        keep_feet(character, qpos, feet, rotation_exp(yaw) @ turns)
+        after = frames()
+        soles = rotate(after.rotation[:, FEET, None], character.sole_points[None])
+        lowest = (after.position[:, FEET, None] + soles)[..., 1].min()
+        qpos[0, 1] -= min(lowest, 0.0)
+        data.qpos[:40] = qpos[0]
+        data.qvel[:3] += rng.normal(0, JOLT_SPEED, 3)
+        data.qvel[6:39] += rng.normal(0, JOLT_RATES, HINGES)
         mujoco.mj_forward(model, data)
         self._read(world)
 
@@ -111,8 +201,9 @@ class Worlds:
         around = self.frame[:, None] + np.arange(-1, FUTURE + 1)
         last = self.motion.start[self.clip + 1] - 1
         around = np.minimum(around, last[:, None])
-        parts = future_parts(self.motion.parts_p[around], self.motion.parts_r[around],
-                             self.lookahead)
+        turns = self.motion.parts_r[around]
+        places = self.motion.parts_p[around] + rotate(turns, self.mounts[:, None])
+        parts = future_parts(places, turns, self.lookahead)
         return observe(self.frames, self.qpos, self.qvel, self.feet, *parts, self.hands,
                        self.stature)
 

@@ -11,6 +11,7 @@ import torch
 from questsim import balance, dagger, motion, observation, ppo
 from questsim.character import Character, forward, rotation_exp, rotation_log
 from questsim.expert import Expert, cone_least_squares
+from questsim.mirror import HINGES, TURNS, Mirror, Symmetric
 from questsim.student import Mlp
 from questsim.worlds import Options, Worlds
 
@@ -162,17 +163,19 @@ def test_a_killed_run_goes_on_with_the_same_curve(standing, tmp_path):
 
 def test_ppo_goes_on_too(standing, tmp_path):
     torch.save({"student": Mlp().state_dict()}, tmp_path / "start.pt")
-    made = []
-    for name, stops in (("whole", (2,)), ("parts", (1, 2))):
+    made, curves = [], []
+    for name, stops in (("whole", (4,)), ("parts", (3, 4))):
         (tmp_path / name).mkdir()
         for stop in stops:
             run = ppo.Run(standing, tmp_path / name, SimpleNamespace(
-                start=tmp_path / "start.pt", iterations=stop, worlds=3, steps=4, lr=1e-4,
-                critic_first=0, seed=0))
+                start=tmp_path / "start.pt", iterations=stop, worlds=3, steps=20, lr=1e-4,
+                critic_first=0, seed=0, jolted=0.5, misplaced=0.01, standing=None, lost=0.1, save_every=2))
             run.restore()
             run.go()
         made.append(torch.cat([p.detach().flatten() for p in run.actor.parameters()]))
+        curves.append([json.loads(line)["reward"] for line in open(tmp_path / name / "curve.jsonl")])
     assert torch.equal(*made)
+    assert curves[0] == curves[1] and len(curves[0]) == 4
 
 
 def test_advantages_stop_at_an_end():
@@ -187,3 +190,75 @@ def test_motion_comes_back_from_its_file(standing, tmp_path):
     standing.save(tmp_path / "m.npz")
     again = motion.Motion.read(tmp_path / "m.npz")
     assert again.names == ["standing"] and (again.qpos == standing.qpos).all()
+
+
+def test_a_mirrored_state_is_seen_and_driven_as_the_mirror_image(standing):
+    mirror = Mirror()
+    worlds = [Worlds(standing, 1, 0, Options(lookaheads=(6,), headset_only=0.0)) for _ in range(2)]
+    rng = np.random.default_rng(3)
+    qpos, qvel = worlds[0].qpos[0].copy(), worlds[0].qvel[0].copy()
+    qpos[7:] += rng.normal(0, 0.05, 33)
+    qvel += rng.normal(0, 0.2, 39)
+    image = qpos.copy(), qvel.copy()
+    image[0][[0, 5, 6]] *= -1
+    image[1][[0, 4, 5]] *= -1
+    image[0][7:] = qpos[7:][HINGES] * TURNS
+    image[1][6:] = qvel[6:][HINGES] * TURNS
+    for world, (place, speed) in zip(worlds, [(qpos, qvel), image]):
+        world.data[0].qpos[:40], world.data[0].qvel[:39] = place, speed
+        world._read(0)
+        world.refresh()
+    action = rng.normal(0, 0.1, (1, 33))
+    for _ in range(3):
+        seen = [torch.from_numpy(world.observe()[:, :312]) for world in worlds]
+        padded = torch.nn.functional.pad(seen[0], (0, 475 - 312)).float()
+        expected = mirror.observation(padded)[:, :312]
+        close = torch.isclose(expected, seen[1].float(), rtol=0.02, atol=0.02)
+        # Forces of feet that roll on one corner are stiff: compared as far as they carry.
+        close[:, 210:216] = (expected - seen[1]).abs()[:, 210:216] < 60
+        assert close.all(), (expected - seen[1]).abs().max()
+        worlds[0].step(action)
+        worlds[1].step(mirror.action(torch.from_numpy(action)).numpy())
+
+
+def test_a_symmetric_policy_answers_the_mirror_image_with_the_mirror_image():
+    torch.manual_seed(1)
+    policy, mirror = Symmetric(Mlp()), Mirror()
+    seen = torch.randn(5, observation.SIZE)
+    with torch.no_grad():
+        answer, image = policy(seen), policy(mirror.observation(seen))
+    assert torch.allclose(mirror.action(answer), image, atol=1e-6)
+    assert torch.equal(mirror.observation(mirror.observation(seen)), seen)
+
+
+def test_a_run_begins_with_the_answers_of_another(standing, tmp_path):
+    (tmp_path / "old").mkdir(), (tmp_path / "new").mkdir()
+    old = dagger.Run(standing, tmp_path / "old", arguments(rounds=2))
+    old.go()
+    new = dagger.Run(standing, tmp_path / "new", arguments(
+        rounds=1, answers=str(tmp_path / "old"), first=2))
+    before = weights(new)
+    new.restore()
+    assert not torch.equal(weights(new), before)
+    assert len(new.memory.inputs) == 2
+    new.go()
+    assert len(new.memory.inputs) == 3
+
+
+def test_jolted_starts_are_off_the_reference_with_no_sole_below_the_floor(standing):
+    plain = Worlds(standing, 8, 0, Options())
+    jolted = Worlds(standing, 8, 0, Options(jolted=1.0))
+    assert np.abs(plain.qpos - standing.qpos[plain.frame]).max() == 0
+    off = np.abs(jolted.qpos - standing.qpos[jolted.frame])
+    assert (off[:, 7:].max(1) > 0.01).all()
+    soles = motion.sole_corners(standing.characters[0], jolted.frames)
+    assert soles[..., 1].min() > -1e-6
+
+
+def test_standing_clips_get_their_share(standing):
+    worlds = Worlds(standing, 1, 0, Options(standing=0.25))
+    worlds.motion = SimpleNamespace(start=np.array([0, 10, 20, 30]), qvel=np.zeros((30, 39)))
+    worlds.motion.qvel[10:, 0] = 1.0
+    worlds.usable = np.arange(3)
+    weight = worlds.by_kind(np.array([0.6, 0.1, 0.3]), 0.25)
+    assert weight == pytest.approx([0.25, 0.1875, 0.5625])

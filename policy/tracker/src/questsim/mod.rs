@@ -6,12 +6,14 @@
 //! A kinematic tracker runs beside it: it stands in while there is no head, and where the
 //! character has fallen or drifted off it puts it back on its feet.
 
+mod level;
 mod observation;
 mod policy;
+mod recent;
 mod timeline;
 mod world;
 
-use glam::{DVec3, Vec3};
+use glam::Vec3;
 use posed_body::{
     BodyPose, Joint,
     scene::{OBJECTS_MAX, Scene},
@@ -27,6 +29,7 @@ use crate::{
 };
 use observation::{FUTURE, PARTS, Part};
 use policy::Policy;
+use recent::Recent;
 use timeline::{Moment, STEP_NS, Timeline};
 use world::World;
 
@@ -39,6 +42,10 @@ const FALLEN: f64 = 0.55;
 const RESPAWN_S: f32 = 0.2;
 /// After a longer gap between ticks the character starts anew, ns.
 const GAP_NS: i64 = 250_000_000;
+
+/// The character starts when the stand-in has been there for so long, ns: how a body moves and where
+/// its legs are does not show in a first tick.
+const SETTLES_NS: i64 = 250_000_000;
 
 /// Where the six frames after a tick lie.
 const AHEAD_NS: [i64; FUTURE] = [
@@ -78,8 +85,9 @@ pub struct QuestSim {
     /// Time of the character's newest pose; `None` while it is not in play.
     at: Option<HostTime>,
     timeline: Timeline,
-    /// The stand-in's last pose and its time.
-    kinematic: Option<(HostTime, BodyPose)>,
+    /// Time of the last tick.
+    ticked: Option<HostTime>,
+    recent: Recent,
     shown: Option<BodyPose>,
     fade: PoseFade,
     /// The pelvis's place fades apart: a fallen body's head is not where the headset is.
@@ -112,7 +120,8 @@ impl QuestSim {
             world: None,
             at: None,
             timeline: Timeline::EMPTY,
-            kinematic: None,
+            ticked: None,
+            recent: Recent::EMPTY,
             shown: None,
             fade: PoseFade::DONE,
             root_fade: Fade::DONE,
@@ -159,11 +168,7 @@ impl QuestSim {
     /// Puts the character where the stand-in is.
     fn spawn(&mut self, now: HostTime, pose: &BodyPose) {
         let Some(world) = &mut self.world else { return };
-        let before = self.kinematic.as_ref().and_then(|(at, pose)| {
-            let seconds = now.since_secs(*at);
-            (seconds > 1e-3 && seconds < 0.1).then_some((pose, seconds))
-        });
-        world.spawn(pose, before);
+        world.spawn(pose, self.recent.earlier(now));
         self.at = Some(now);
     }
 
@@ -206,13 +211,15 @@ impl QuestSim {
         if stale {
             self.at = None;
         }
-        let started = self.at.is_some();
         self.advance(now, pelvis);
         if self.at.is_none() {
-            self.spawn(now, stand_in);
-            if started {
-                self.fade_left = RESPAWN_S;
+            self.objects = self.world.as_ref()?.objects_between(1.0);
+            // Rounding must not cost a tick.
+            if self.recent.lasting_ns(now) + 1000 < SETTLES_NS {
+                return None;
             }
+            self.spawn(now, stand_in);
+            self.fade_left = RESPAWN_S;
         }
         let (world, at) = (self.world.as_ref()?, self.at?);
         let share = 1.0 - at.since_ns(now) as f64 / STEP_NS as f64;
@@ -261,14 +268,10 @@ enum Lost {
 
 /// `pelvis` is the height of the stand-in's above its floor, metres.
 fn lost(world: &World, head: Option<&Part>, pelvis: f32) -> Option<Lost> {
-    let floor = world.floor(world.to.root);
-    if world.to.root.y - floor < FALLEN * f64::from(pelvis) {
+    let (height, own) = world.pelvis_and_head();
+    if height < FALLEN * f64::from(pelvis) {
         return Some(Lost::Fallen);
     }
-    let joints = world
-        .character()
-        .joints(&world.character().forward(&world.to));
-    let own = joints.position(Joint::Head).as_dvec3() - DVec3::Y * floor;
     head.is_some_and(|head| head.position.distance(own) > DRIFT)
         .then_some(Lost::Drifted)
 }
@@ -281,11 +284,13 @@ impl Tracker for QuestSim {
     fn reset(&mut self) {
         self.stand_in.reset();
         self.timeline = Timeline::EMPTY;
-        (self.at, self.kinematic, self.shown) = (None, None, None);
+        (self.at, self.ticked, self.shown) = (None, None, None);
+        self.recent = Recent::EMPTY;
         (self.fade, self.root_fade, self.fade_left) = (PoseFade::DONE, Fade::DONE, 0.0);
         self.moves = [None; OBJECTS_MAX];
         if let Some(world) = &mut self.world {
             world.put_objects_back();
+            world.leave_floor();
             self.objects = world.objects_between(1.0);
         }
     }
@@ -321,14 +326,15 @@ impl Tracker for QuestSim {
     fn track(&mut self, input: &Input<'_>) -> Tracked {
         let now = input.target;
         let mut kinematic = self.stand_in.track(input);
+        let joints = input.wearer.skeleton.forward(&kinematic.pose);
         // The wearer walks on a level floor, the character on the scene's ground.
         let pelvis = kinematic.pose.root.y;
         let Vec3 { x, z, .. } = kinematic.pose.root;
         let ground = &self.options.scene.ground;
         kinematic.pose.root.y += ground.around(f64::from(x), f64::from(z)) as f32;
         let dt = self
-            .kinematic
-            .map_or(0.0, |(last, _)| now.since_secs(last) as f32)
+            .ticked
+            .map_or(0.0, |last| now.since_secs(last) as f32)
             .clamp(0.0, 0.5);
         let moment = self.moment(now, input.parts, false);
         if let Some(moment) = moment {
@@ -337,17 +343,23 @@ impl Tracker for QuestSim {
         let mut own = None;
         if kinematic.quality > Quality::Held && moment.is_some() {
             self.prepare(input);
+            if let Some(world) = &mut self.world {
+                world.stand_on(&joints, f64::from(dt));
+            }
             let fading = self.fade_left;
             own = self.follow(now, &kinematic.pose, pelvis);
             if self.fade_left > fading {
-                // The character has just been put back.
+                // The character has just been put where the stand-in was shown, or back.
                 self.start_fade(own.as_ref());
             }
         } else if self.at.take().is_some() {
             self.fade_left = RESPAWN_S;
             self.start_fade(Some(&kinematic.pose));
         }
-        self.kinematic = Some((now, kinematic.pose));
+        self.ticked = Some(now);
+        if kinematic.quality > Quality::Held {
+            self.recent.push(now, &kinematic.pose);
+        }
         let source = own.unwrap_or(kinematic.pose);
         let mut pose = self.fade.apply(&source, &input.wearer.skeleton);
         if !self.root_fade.is_done() {

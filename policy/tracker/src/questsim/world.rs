@@ -1,8 +1,8 @@
 //! The wearer's character in its world, one policy step at a time.
 
-use glam::{DMat3, DVec3, Vec3};
+use glam::{DMat3, DQuat, DVec3, Vec3};
 use posed_body::{
-    BodyPose, JOINTS, Skeleton,
+    BodyPose, JOINTS, Joint, Joints, Skeleton,
     character::{Character, CharacterPose, HINGES, Link, hinges_of},
     optimiser::FootForce,
     retarget::Retarget,
@@ -11,6 +11,7 @@ use posed_body::{
 };
 
 use super::{
+    level::Level,
     observation::{FUTURE, SUBSTEPS, Seen, User, VELOCITIES},
     policy::Policy,
 };
@@ -22,13 +23,15 @@ use crate::{
 /// A velocity estimated at a spawn is cut off here: m/s and rad/s.
 const SPAWN_SPEED_MAX: f64 = 8.0;
 
-/// A character, simulated.
+/// A character, simulated. It stands on the scene's ground; the wearer's devices, and the poses shown, are
+/// as much higher as the wearer's floor is ([`Level`]): the head stays in the headset.
 pub(super) struct World {
     pub(super) skeleton: Skeleton,
     character: Character,
     state: State,
     retarget: Retarget,
     ground: Ground,
+    level: Level,
     /// The things in the scene at the last two policy steps.
     objects: [Objects; 2],
     /// The poses at the last two policy steps.
@@ -48,6 +51,7 @@ impl World {
         Ok(Self {
             skeleton: *skeleton,
             ground: scene.ground,
+            level: Level::default(),
             objects: [objects; 2],
             retarget: Retarget::new(character.clone()),
             character,
@@ -56,6 +60,20 @@ impl World {
             to: rest,
             torques: [0.0; HINGES],
         })
+    }
+
+    /// The stand-in's joints, `seconds` after the last ones, say where the floor is.
+    pub(super) fn stand_on(&mut self, joints: &Joints, seconds: f64) {
+        let feet = [Joint::LeftAnkle, Joint::RightAnkle].map(|ankle| {
+            let turn = joints.rotation(ankle).as_dquat();
+            (joints.position(ankle).as_dvec3(), turn)
+        });
+        self.level.follow(self.lowest_sole(feet, |_| 0.0), seconds);
+    }
+
+    /// Where the floor is counts no longer.
+    pub(super) fn leave_floor(&mut self) {
+        self.level = Level::default();
     }
 
     /// Puts the character into `pose`, moving as from `before`, which was `seconds` earlier. No
@@ -67,9 +85,20 @@ impl World {
         let velocity = earlier.map_or([0.0; VELOCITIES], |(earlier, seconds)| {
             velocity(&earlier, &here, seconds)
         });
-        here.root.y -= self.lowest_sole(&here).min(0.0);
+        here.root.y -= self.level.height();
+        let ground = |corner: DVec3| self.ground.at(corner.x, corner.z).height;
+        here.root.y -= self.lowest_sole(self.feet(&here), ground).min(0.0);
         self.state.set_pose_and_velocity(&here, &velocity);
         (self.from, self.to, self.torques) = (here, here, [0.0; HINGES]);
+    }
+
+    /// Height of the character's pelvis above the ground, and where its head is, metres.
+    pub(super) fn pelvis_and_head(&self) -> (f64, DVec3) {
+        let floor = self.floor(self.to.root);
+        let joints = self.character.joints(&self.character.forward(&self.to));
+        let head = joints.position(Joint::Head).as_dvec3();
+        let above = DVec3::Y * (self.level.height() - floor);
+        (self.to.root.y - floor, head + above)
     }
 
     /// Height of the ground where somebody stands whose pelvis is at `root`, metres.
@@ -77,21 +106,21 @@ impl World {
         self.ground.around(root.x, root.z)
     }
 
-    /// Height of the lowest corner of the soles above the ground, metres.
-    fn lowest_sole(&self, pose: &CharacterPose) -> f64 {
+    /// Place and rotation of the feet.
+    fn feet(&self, pose: &CharacterPose) -> [(DVec3, DQuat); 2] {
         let frames = self.character.forward(pose);
-        let feet = [Link::LeftFoot, Link::RightFoot];
+        [Link::LeftFoot, Link::RightFoot]
+            .map(|foot| (frames.positions[foot as usize], frames.rotations[foot as usize]))
+    }
+
+    /// Height of the lowest corner of the soles above the ground, metres.
+    fn lowest_sole(&self, feet: [(DVec3, DQuat); 2], ground: impl Fn(DVec3) -> f64) -> f64 {
         let mut lowest = f64::MAX;
-        for (foot, sole) in feet.into_iter().zip(&self.character.soles) {
-            let (place, turn) = (
-                frames.positions[foot as usize],
-                frames.rotations[foot as usize],
-            );
+        for ((place, turn), sole) in feet.into_iter().zip(&self.character.soles) {
             for z in [sole.heel, sole.ball] {
                 for x in [-sole.half_width, sole.half_width] {
                     let corner = place + turn * DVec3::new(x, sole.y, z);
-                    let ground = self.ground.at(corner.x, corner.z).height;
-                    lowest = lowest.min(corner.y - ground);
+                    lowest = lowest.min(corner.y - ground(corner));
                 }
             }
         }
@@ -111,13 +140,17 @@ impl World {
     /// Writes the observation of the present state.
     pub(super) fn observe(&self, user: &[User; FUTURE], hands: bool, out: &mut [f32]) {
         let pose = self.state.pose();
+        let mut user = *user;
+        for part in user.iter_mut().flatten() {
+            part.position.y -= self.level.height();
+        }
         let seen = Seen {
             character: &self.character,
             pose: &pose,
             floor: self.floor(pose.root),
             velocity: &self.state.velocity(),
             feet: self.state.feet().map(|foot| foot.force),
-            user,
+            user: &user,
             hands,
         };
         seen.write(out);
@@ -183,15 +216,11 @@ impl World {
         }
     }
 
-    pub(super) fn character(&self) -> &Character {
-        &self.character
-    }
-
     /// The body pose between the last two policy steps, `share` (0 to 1) of the way.
     pub(super) fn between(&self, share: f64) -> BodyPose {
         let (from, to) = (&self.from, &self.to);
         let pose = CharacterPose {
-            root: from.root.lerp(to.root, share),
+            root: from.root.lerp(to.root, share) + DVec3::Y * self.level.height(),
             rotation: from.rotation.slerp(to.rotation, share),
             angles: std::array::from_fn(|hinge| {
                 from.angles[hinge] + (to.angles[hinge] - from.angles[hinge]) * share

@@ -1,6 +1,8 @@
 //! Writes recorded motion mapped to the physics character, for training QuestSim.
 //!
-//! `cargo run --release -p posed-body --example references -- OUT.npz SPLIT SET.npz...`
+//! `cargo run --release -p posed-body --example references -- OUT.npz SPLIT [own,1.55,...] SET.npz...`
+//! The list has the statures (metres) that clips are scaled to, one after the other; all are their movers'
+//! own where it is left out.
 //! Arrays of OUT, at 36 frames a second, clips one after the other: `start` (clips + 1), `name`,
 //! `set`, `character` (index into `mjcf`), `stature` for each clip; for each frame `root` (3),
 //! `rotation` (4, x y z w), `angles` (33), `parts` (3, 7): head, left and right wrist as the
@@ -47,9 +49,14 @@ fn main() -> Result<(), Failure> {
         print!("{}", document(&character, &Scene::default()));
         return Ok(());
     }
-    let [out_path, split, sets @ ..] = arguments.as_slice() else {
-        return Err("usage: references OUT.npz SPLIT SET.npz...".into());
+    let [out_path, split, rest @ ..] = arguments.as_slice() else {
+        return Err("usage: references OUT.npz SPLIT [own,STATURE,...] SET.npz...".into());
     };
+    let (statures, sets) = match rest {
+        [list, sets @ ..] if list.starts_with("own") => (statures(list)?, sets),
+        sets => (vec![None], sets),
+    };
+    let mut turn = statures.iter().cycle();
     let mut out = Out::default();
     out.start.push(0);
     for path in sets {
@@ -60,7 +67,12 @@ fn main() -> Result<(), Failure> {
             .to_string_lossy();
         for index in 0..set.entries().len() {
             if set.entries()[index].split == *split {
-                out.add(&label, &set.clip(index)?.resampled(RATE))?;
+                let clip = set.clip(index)?.resampled(RATE);
+                let clip = match turn.next().copied().flatten() {
+                    Some(stature) => clip.of_stature(stature),
+                    None => clip,
+                };
+                out.add(&label, &clip)?;
             }
         }
     }
@@ -73,6 +85,18 @@ fn main() -> Result<(), Failure> {
         out.mjcf.len()
     );
     Ok(())
+}
+
+/// `own,1.55,1.95`: `None` is the mover's own.
+fn statures(list: &str) -> Result<Vec<Option<f32>>, Failure> {
+    let one = |item: &str| match item {
+        "own" => Ok(None),
+        number => number
+            .parse()
+            .map(Some)
+            .map_err(|_| format!("{number:?} in {list:?} is no stature in metres").into()),
+    };
+    list.split(',').map(one).collect()
 }
 
 impl Out {

@@ -27,11 +27,8 @@ SPREAD = 0.03
 """Of the exploration, in actions of -1 to 1."""
 EPOCHS, MINIBATCHES = 5, 4
 CRITIC_LR = 3e-4
-APART = 0.05
-"""Divergence (nats) of an iteration's last policy from the one that played which the actor's rate is set
-to keep to: with batches a seventh of the paper's its 1e-4 leads 10 nats away, and the student forgets."""
 FARTHEST = 4.0
-"""An iteration beyond this many times that divergence teaches the actor no more."""
+"""An iteration teaches the actor no more once it is so many times as far away as it shall go."""
 
 
 def advantages(rewards, values, ended, last):
@@ -182,7 +179,7 @@ class Run:
             order = torch.randperm(len(gain), generator=generator)
             for pick in order.chunk(MINIBATCHES):
                 loss = (self.critic(flat["seen"][pick])[:, 0] - target[pick]).square().mean()
-                if not warm and (not apart or apart[-1] < FARTHEST * APART):
+                if not warm and (not apart or apart[-1] < FARTHEST * self.args.apart):
                     mean = self.actor(flat["seen"][pick])
                     ratio = (log_chance(flat["action"][pick], mean) - before[pick]).exp()
                     gains = torch.minimum(ratio * gain[pick],
@@ -202,9 +199,9 @@ class Run:
     def adapt(self, apart):
         """Sets the actor's rate so that the next iteration keeps to the divergence wanted."""
         group = self.optimizer.param_groups[0]
-        if apart > 2 * APART:
+        if apart > 2 * self.args.apart:
             group["lr"] = max(group["lr"] / 1.3, self.args.lr / 1000)
-        elif 0 < apart < APART / 2:
+        elif 0 < apart < self.args.apart / 2:
             group["lr"] = min(group["lr"] * 1.3, self.args.lr)
 
     def go(self):
@@ -245,7 +242,8 @@ def divergence(mean, before):
 def main(argv=None):
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--motion", required=True, help="file of questsim.prepare")
-    parser.add_argument("--start", required=True, help="state.pt of questsim.dagger, or of PPO on other motion")
+    parser.add_argument("--start", required=True,
+                        help="state.pt of questsim.dagger, or of PPO on other motion")
     parser.add_argument("--out", required=True)
     parser.add_argument("--iterations", type=int, help="stop after so many in all")
     parser.add_argument("--worlds", type=int, default=256)
@@ -260,6 +258,9 @@ def main(argv=None):
                         help="episodes end when pelvis or head are so far off, metres")
     parser.add_argument("--save-every", type=int, default=10, help="iterations")
     parser.add_argument("--lr", type=float, default=1e-4)
+    parser.add_argument("--apart", type=float, default=0.05,
+                        help="divergence (nats) of an iteration's last policy from the one that "
+                             "played, which the actor's rate is set to keep to")
     parser.add_argument("--critic-first", type=int, default=5,
                         help="iterations that teach the critic alone")
     parser.add_argument("--seed", type=int, default=0)

@@ -169,7 +169,8 @@ def test_ppo_goes_on_too(standing, tmp_path):
         for stop in stops:
             run = ppo.Run(standing, tmp_path / name, SimpleNamespace(
                 start=tmp_path / "start.pt", iterations=stop, worlds=3, steps=20, lr=1e-4,
-                critic_first=0, seed=0, jolted=0.5, misplaced=0.01, standing=None, lost=0.1, save_every=2))
+                critic_first=0, seed=0, jolted=0.5, misplaced=0.01, standing=None, apart=0.05,
+                lost=0.1, save_every=2))
             run.restore()
             run.go()
         made.append(torch.cat([p.detach().flatten() for p in run.actor.parameters()]))

@@ -45,7 +45,7 @@ const GAP_NS: i64 = 250_000_000;
 
 /// The character starts when the stand-in has been there for so long, ns: how a body moves and where
 /// its legs are does not show in a first tick.
-const SETTLES_NS: i64 = 250_000_000;
+const SETTLES_NS: i64 = 500_000_000;
 
 /// Where the six frames after a tick lie.
 const AHEAD_NS: [i64; FUTURE] = [

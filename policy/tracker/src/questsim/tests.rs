@@ -235,10 +235,10 @@ fn limp(rate_hz: f64, seconds: f64) -> (BodyPose, u64, f32) {
 #[test]
 fn ticks_of_any_rate_see_the_same_fall() {
     // Nine steps of the policy once the stand-in has settled; all these rates have a tick at both ends.
-    let (end, steps, _) = limp(36.0, 0.5);
+    let (end, steps, _) = limp(36.0, 0.75);
     assert_eq!(steps, 9);
     for rate in [20.0, 60.0, 72.0, 100.0, 144.0, 500.0, 1000.0] {
-        let (pose, steps, most) = limp(rate, 0.5);
+        let (pose, steps, most) = limp(rate, 0.75);
         assert!((9..=10).contains(&steps), "{rate} Hz: {steps} steps");
         let apart = pose.root.distance(end.root);
         assert!(apart < 1e-3, "{rate} Hz: {apart} m");

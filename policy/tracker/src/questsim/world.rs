@@ -109,8 +109,12 @@ impl World {
     /// Place and rotation of the feet.
     fn feet(&self, pose: &CharacterPose) -> [(DVec3, DQuat); 2] {
         let frames = self.character.forward(pose);
-        [Link::LeftFoot, Link::RightFoot]
-            .map(|foot| (frames.positions[foot as usize], frames.rotations[foot as usize]))
+        [Link::LeftFoot, Link::RightFoot].map(|foot| {
+            (
+                frames.positions[foot as usize],
+                frames.rotations[foot as usize],
+            )
+        })
     }
 
     /// Height of the lowest corner of the soles above the ground, metres.

@@ -23,9 +23,8 @@ from .expert import Expert
 from .mirror import Mirror, Symmetric
 from .motion import Motion
 from .student import LAST, Mlp
-from .worlds import Options, Worlds
+from .worlds import LOOKAHEADS, Worlds, practice, practice_arguments
 
-LOOKAHEADS = (6, 6, 2, 0)
 NOISE = 0.05
 """Spread of what is added to the driver's action in half of the worlds."""
 
@@ -71,8 +70,7 @@ class Player:
         driver = Symmetric(self.student)
         rng = np.random.default_rng((args.seed, number))
         worlds = Worlds(self.motion, args.worlds, (args.seed, number, 1),
-                        Options(lookaheads=LOOKAHEADS, headset_only=0.25, jolted=args.jolted,
-                                misplaced=args.misplaced, standing=args.standing))
+                        practice(args))
         expert = Expert(worlds)
         # Half of the worlds follow the expert at first, a tenth of them later.
         taught = args.start or args.answers
@@ -153,9 +151,9 @@ class Run:
 
     def restore(self):
         """Goes on where the run in `out` stopped; begins where there is none."""
-        for path in sorted(Path(self.args.answers).glob("round-*.npz"))[-self.args.keep:] \
-                if self.args.answers else []:
-            self.remember(path)
+        if self.args.answers:
+            for path in sorted(Path(self.args.answers).glob("round-*.npz"))[-self.args.keep:]:
+                self.remember(path)
         if not (self.out / "state.pt").exists():
             if self.args.answers:
                 self.student.normalise_by(torch.cat(self.memory.inputs[::5]).float())
@@ -244,12 +242,6 @@ def parser():
     parser.add_argument("--batch", type=int, default=2048)
     parser.add_argument("--bfloat16", action="store_true",
                         help="half the numbers' width: for processors with instructions for it")
-    parser.add_argument("--jolted", type=float, default=0.3,
-                        help="share of episodes that begin off the reference")
-    parser.add_argument("--misplaced", type=float, default=0.01,
-                        help="spread of where the devices sit on head and hands, metres")
-    parser.add_argument("--standing", type=float,
-                        help="share of episodes of somebody who stays about where it is")
     parser.add_argument("--keep", type=int, default=100, help="rounds that are remembered")
     parser.add_argument("--settle", type=int, default=5, help="rounds that set the normalisation")
     parser.add_argument("--share", type=float, default=0.8)
@@ -257,6 +249,7 @@ def parser():
     parser.add_argument("--decay", type=int, default=0,
                         help="rounds before --rounds in which the rate falls")
     parser.add_argument("--seed", type=int, default=0)
+    practice_arguments(parser)
     return parser
 
 

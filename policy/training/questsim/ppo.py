@@ -16,11 +16,10 @@ from common import checkpoint
 from common.average import Average
 from common.log import cut, record
 
-from .dagger import LOOKAHEADS
 from .mirror import Mirror
 from .motion import Motion
 from .student import Mlp
-from .worlds import WEIGHTS, Options, Worlds
+from .worlds import WEIGHTS, Worlds, practice, practice_arguments
 
 CLIP, GAMMA, LAMBDA = 0.2, 0.97, 0.95
 SPREAD = 0.03
@@ -49,10 +48,7 @@ class Player:
 
     def __init__(self, motion, args, kept):
         self.args, self.actor, self.critic, self.mirror = args, Mlp(), Mlp(1), Mirror()
-        self.worlds = Worlds(motion, args.worlds, args.seed, Options(
-            lookaheads=LOOKAHEADS, headset_only=0.25, jolted=args.jolted, standing=args.standing,
-            misplaced=args.misplaced,
-            lost=args.lost))
+        self.worlds = Worlds(motion, args.worlds, args.seed, practice(args, lost=args.lost))
         # Every other world is seen and driven mirrored: both sides learn from either.
         self.flipped = torch.arange(args.worlds) % 2 == 1
         if kept:
@@ -248,12 +244,7 @@ def main(argv=None):
     parser.add_argument("--iterations", type=int, help="stop after so many in all")
     parser.add_argument("--worlds", type=int, default=256)
     parser.add_argument("--steps", type=int, default=32)
-    parser.add_argument("--jolted", type=float, default=0.3,
-                        help="share of episodes that begin off the reference")
-    parser.add_argument("--misplaced", type=float, default=0.01,
-                        help="spread of where the devices sit on head and hands, metres")
-    parser.add_argument("--standing", type=float,
-                        help="share of episodes of somebody who stays about where it is")
+    practice_arguments(parser)
     parser.add_argument("--lost", type=float, default=0.4,
                         help="episodes end when pelvis or head are so far off, metres")
     parser.add_argument("--save-every", type=int, default=10, help="iterations")

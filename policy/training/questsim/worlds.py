@@ -19,6 +19,8 @@ LOST = 0.5
 """An episode ends when pelvis or head are so far from the reference, metres."""
 FALLEN = 0.55
 """It ends too when the pelvis is below this share of its height in the reference."""
+LOOKAHEADS = (6, 6, 2, 0)
+"""What a training draws from."""
 STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 CARRIED = ("clip", "frame", "age", "lookahead", "hands", "feet", "mounts")
 STAYS = 0.4
@@ -49,6 +51,22 @@ class Options:
     """Spread of where the devices sit on head and hands in an episode, off where they should, metres."""
     standing: float | None = None
     """Share of episodes in which the mover stays about where it is; as in the motion by default."""
+
+
+def practice_arguments(parser):
+    """What a training may practise, for `practice`."""
+    parser.add_argument("--jolted", type=float, default=0.3,
+                        help="share of episodes that begin off the reference")
+    parser.add_argument("--misplaced", type=float, default=0.01,
+                        help="spread of where the devices sit on head and hands, metres")
+    parser.add_argument("--standing", type=float,
+                        help="share of episodes of somebody who stays about where it is")
+
+
+def practice(args, **more):
+    """Options of a training's worlds."""
+    return Options(lookaheads=LOOKAHEADS, headset_only=0.25, jolted=args.jolted,
+                   misplaced=args.misplaced, standing=args.standing, **more)
 
 
 class Worlds:

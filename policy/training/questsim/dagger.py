@@ -8,7 +8,6 @@ same.
 
 import argparse
 import time
-from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +15,7 @@ import torch
 
 from common import checkpoint
 from common.average import Average
+from common.beside import Beside
 from common.log import record
 from common.optimizer import MuonAdamW
 
@@ -65,7 +65,7 @@ class Player:
 
     def play(self, number, weights):
         """Observations (n, 475), the expert's answers (n, 33), both float16, and figures."""
-        args = self.args
+        args, began = self.args, time.perf_counter()
         self.student.load_state_dict(weights)
         driver = Symmetric(self.student)
         rng = np.random.default_rng((args.seed, number))
@@ -73,8 +73,7 @@ class Player:
                         practice(args))
         expert = Expert(worlds)
         # Half of the worlds follow the expert at first, a tenth of them later.
-        taught = args.start or args.answers
-        share = 0.1 if taught else max(0.1, args.share ** (number + 1))
+        share = 0.1 if taught(args) else max(0.1, args.share ** (number + 1))
         led = rng.random(args.worlds) < share
         shaken = rng.random(args.worlds) < 0.5
         inputs, labels, lost_count, steps = [], [], 0, 0
@@ -101,23 +100,15 @@ class Player:
             if len(again):
                 worlds.reset(again)
         figures = {"falls_per_minute": lost_count / max(steps, 1) * 36 * 60,
-                   "terms": np.mean(rewards, 0).round(3).tolist(), "led": float(led.mean())}
+                   "terms": np.mean(rewards, 0).round(3).tolist(), "led": float(led.mean()),
+                   "play_s": time.perf_counter() - began}
         inputs, labels = np.concatenate(inputs), np.concatenate(labels)
         return inputs.astype(np.float16), labels.astype(np.float16), figures
 
 
-_player = None
-
-
-def _prepare(motion, args):
-    global _player
-    torch.set_num_threads(1)
-    _player = Player(motion, args)
-
-
-def _play(number, weights):
-    began = time.perf_counter()
-    return *_player.play(number, weights), time.perf_counter() - began
+def taught(args):
+    """Whether the student knows something before the first round."""
+    return args.start or args.answers
 
 
 class Run:
@@ -205,24 +196,23 @@ class Run:
 
     def go(self):
         """Rounds until told to stop."""
-        with ProcessPoolExecutor(1, initializer=_prepare,
-                                 initargs=(self.motion, self.args)) as pool:
-            played = pool.submit(_play, self.round, self.driver)
+        with Beside(Player, self.motion, self.args) as player:
+            played = player.play(self.round, self.driver)
             while self.args.rounds is None or self.round < self.args.rounds:
                 began = time.perf_counter()
-                inputs, labels, figures, seconds = played.result()
+                inputs, labels, figures = played.result()
                 self.driver = self.weights()
-                played = pool.submit(_play, self.round + 1, self.driver)
+                played = player.play(self.round + 1, self.driver)
                 np.savez(self.shard(self.round), inputs=inputs, labels=labels)
                 self.memory.add(inputs, labels)
-                if self.round < self.args.settle and not (self.args.start or self.args.answers):
+                if self.round < self.args.settle and not taught(self.args):
                     self.student.normalise_by(torch.cat(self.memory.inputs).float())
                 error = self.learn(self.args.batches)
                 self.round += 1
                 self.samples += len(inputs) // 2
                 self.seconds += time.perf_counter() - began
                 line = {"round": self.round, "states": self.samples, "error": error, **figures,
-                        "play_s": seconds, "hours": self.seconds / 3600}
+                        "hours": self.seconds / 3600}
                 self.save()
                 record(self.out / "curve.jsonl", line)
             played.cancel()

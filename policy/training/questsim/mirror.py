@@ -10,7 +10,6 @@ from torch import nn
 
 from .observation import FUTURE, SIZE
 
-TRUNK = (0, 1, 2, 3)
 LIMBS = ((4, 7), (5, 8), (6, 9), (10, 13), (11, 14), (12, 15))
 """Links of the left and of the right."""
 HINGES = np.concatenate([np.arange(9), np.arange(15, 21), np.arange(9, 15), np.arange(27, 33),

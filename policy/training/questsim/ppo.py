@@ -6,7 +6,6 @@ again, the curve is the same.
 
 import argparse
 import time
-from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +13,7 @@ import torch
 
 from common import checkpoint
 from common.average import Average
+from common.beside import Beside
 from common.log import cut, record
 
 from .mirror import Mirror
@@ -95,19 +95,6 @@ class Player:
         figures = {"falls_per_minute": falls / (args.steps * args.worlds) * 36 * 60,
                    "terms": np.mean(terms_sum, 0).round(3).tolist()}
         return kept, gain, figures, worlds.snapshot()
-
-
-_player = None
-
-
-def _prepare(motion, args, kept):
-    global _player
-    torch.set_num_threads(1)
-    _player = Player(motion, args, kept)
-
-
-def _play(number, actor, critic):
-    return _player.play(number, actor, critic)
 
 
 class Run:
@@ -202,15 +189,14 @@ class Run:
 
     def go(self):
         """Iterations until told to stop."""
-        with ProcessPoolExecutor(1, initializer=_prepare,
-                                 initargs=(self.motion, self.args, self.worlds)) as pool:
-            played = pool.submit(_play, self.iteration, *self.drivers)
+        with Beside(Player, self.motion, self.args, self.worlds) as player:
+            played = player.play(self.iteration, *self.drivers)
             while self.args.iterations is None or self.iteration < self.args.iterations:
                 began = time.perf_counter()
                 kept, gain, figures, self.worlds = played.result()
                 self.drivers = self.weights()
                 waited = time.perf_counter() - began
-                played = pool.submit(_play, self.iteration + 1, *self.drivers)
+                played = player.play(self.iteration + 1, *self.drivers)
                 apart = self.learn(kept, gain)
                 self.iteration += 1
                 self.steps += gain.size

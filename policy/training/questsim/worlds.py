@@ -13,6 +13,7 @@ import numpy as np
 from .balance import keep_feet
 from .character import (FEET, HEAD, HINGES, LINKS, PELVIS, forward, quat_to_matrix, rotate,
                         rotation_exp, rotation_log)
+from .motion import sole_corners
 from .observation import FUTURE, PARTS, SUBSTEPS, future_parts, observe
 
 LOST = 0.5
@@ -190,10 +191,7 @@ class Worlds:
         yaw = np.zeros((2, 3))
         yaw[:, 1] = rng.normal(0, JOLT_YAW, 2)
         keep_feet(character, qpos, feet, rotation_exp(yaw) @ turns)
-        after = frames()
-        soles = rotate(after.rotation[:, FEET, None], character.sole_points[None])
-        lowest = (after.position[:, FEET, None] + soles)[..., 1].min()
-        qpos[0, 1] -= min(lowest, 0.0)
+        qpos[0, 1] -= min(sole_corners(character, frames())[..., 1].min(), 0.0)
         data.qpos[:40] = qpos[0]
         data.qvel[:3] += rng.normal(0, JOLT_SPEED, 3)
         data.qvel[6:39] += rng.normal(0, JOLT_RATES, HINGES)
